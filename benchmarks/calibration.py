@@ -26,8 +26,8 @@ from scipy import ndimage
 import sceneloom
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.measures import COUNT, Change, Parameter
-from sceneloom.calibrate.refinement import WIDTHS_PX, Level, Refinement, climbed, find_cues, refine
+from sceneloom.calibrate.measures import COUNT, Change, Parameter, extract
+from sceneloom.calibrate.refinement import Refinement, climbed, find_levels, refine
 from sceneloom.cameras.projection import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import Faults, SensorFaults, inject, simulate_street
@@ -184,12 +184,12 @@ def _judged(data: Path) -> None:
         cases.append((f"simulated {seed}", calibration_frames(simulate_street(seed, frames=5).scene)))
     print("yaw [deg] from the published one: by edges (rotation alone), by mutual information")
     for name, frames in cases:
-        cues, numbers, free = [find_cues(frame) for frame in frames], np.zeros(COUNT), np.arange(3)
-        for width in WIDTHS_PX[1:]:
-            numbers = climbed(Level.of(cues, width), free, numbers)
+        numbers, seen = np.zeros(COUNT), [(frame, extract(frame, frame.camera).visible) for frame in frames]
+        for level in find_levels(frames)[1:]:
+            numbers = climbed(level, np.arange(3), numbers)
         print(
             f"{name:18} f = {frames[0].camera.fx:.1f} px  {np.degrees(numbers[Parameter.YAW]):+.3f}  "
-            f"{_most_informative_yaw([(one.frame, one.features.visible) for one in cues]):+.3f}",
+            f"{_most_informative_yaw(seen):+.3f}",
             flush=True,
         )
 

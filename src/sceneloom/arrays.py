@@ -207,6 +207,19 @@ def finite_rows(values: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
+def spread_rows(count: int, most: int, *, nearest: bool = True) -> Int64Array:
+    """Choose at most so many rows out of `count`, evenly spread, the first and the last among them.
+
+    Args:
+        nearest: take the row that is nearest to an even step, else the one before it.
+
+    Returns:
+        (M,) int64, ascending.
+    """
+    steps = np.linspace(0, count - 1, min(most, count)) if count > 0 else np.zeros(0)
+    return np.unique((steps.round() if nearest else steps).astype(np.int64))
+
+
 def read_only(array: ArrayLike, dtype: DTypeLike | None = None) -> AnyArray:
     """Return the array as a contiguous view that refuses writing."""
     view = np.ascontiguousarray(array, dtype=dtype).view()

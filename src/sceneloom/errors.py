@@ -165,6 +165,18 @@ class UnknownOptionError(OptionError):
         return f"option {self.option!r}; {self.doing} takes {', '.join(self.known) or 'no options'}"
 
 
+def check_choice(name: str, value: object, known: Iterable[str]) -> None:
+    """Check that an option is one of those known.
+
+    Raises:
+        OptionError: it is none of them.
+    """
+    choices = tuple(known)
+    if value not in choices:
+        stated = str(value) if isinstance(value, str) else value  # members of other enumerations, too
+        raise OptionError(f"{name} {stated!r}; expected one of {', '.join(choices)}")
+
+
 def check_option_names(doing: str, given: Iterable[str], known: tuple[str, ...]) -> None:
     """Refuse options that are not among the known ones; `doing` is what takes them, as in "writing a recording".
 

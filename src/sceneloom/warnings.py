@@ -36,6 +36,21 @@ class DataWarning(msgspec.Struct, frozen=True, kw_only=True):
     count: int = 1
 
 
+def assumed(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
+    """A warning that something is not stated and was assumed."""
+    return DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=count)
+
+
+def repaired(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
+    """A warning that something was brought into order."""
+    return DataWarning(kind=WarningKind.REPAIRED, code=code, location=location, message=message, count=count)
+
+
+def skipped(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
+    """A warning that something was left out."""
+    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
+
+
 class Severity(StrEnum):
     """How bad it is."""
 

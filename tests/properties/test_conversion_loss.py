@@ -15,7 +15,8 @@ from sceneloom.formats.base.registry import FORMATS, find_format, format_named
 from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.pipeline.converting import field_supports, fields_meant, kinds_by_id
 from sceneloom.scene import LazyFrames, Scene, VideoContent
-from sceneloom.scene.contents import MODEL_FIELDS, Counting, frame_values, frames_of, stationary_values
+from sceneloom.scene.contents import MODEL_FIELDS, Counting, frame_values, stationary_values
+from sceneloom.scene.scene import frames_of
 
 WRITTEN = [name for name in FORMATS if format_named(name).writes]
 REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")

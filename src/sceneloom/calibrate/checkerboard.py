@@ -23,9 +23,9 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, spread_rows
 from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane, moved_by
-from sceneloom.calibrate.frames import LUMA, chosen_camera, chosen_lidar, spread_rows
+from sceneloom.calibrate.frames import LUMA, chosen_camera, chosen_lidar
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError, PoseError
@@ -144,7 +144,7 @@ def board_views(
         DataError: an image or a sweep cannot be read.
     """
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    chosen = spread_rows(len(camera.images), most)
+    chosen = spread_rows(len(camera.images), most).tolist()
     for done, k in enumerate(chosen, start=1):
         image = camera.images[k]
         sweep = lidar.frames[int(np.argmin(np.abs(lidar.frames.timestamps_ns - image.timestamp_ns)))]

@@ -26,7 +26,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.types import Identifier, Progress, reporting
 from sceneloom.warnings import DataWarning
 
 _MOST_FRAMES = 8  # images that each extrinsic is judged by
@@ -212,13 +212,9 @@ def check_file(
     scene = None if scene is None else scene.corrected()
     frames = () if scene is None else calibration_frames(scene, camera_id, lidar_id, _MOST_FRAMES)
     score = score_by_rotation(frames) if frames else None
-    found = []
-    for number, extrinsic in enumerate(extrinsics, start=1):
-        found.append(decide(extrinsic, frames, score))
-        if progress is not None:
-            progress(number, len(extrinsics))
+    found = tuple(decide(one, frames, score) for one in reporting(extrinsics, progress, len(extrinsics)))
     corrections = () if scene is None else scene.correction_warnings
-    return ConventionsReport(source=str(path), extrinsics=tuple(found), corrections=corrections)
+    return ConventionsReport(source=str(path), extrinsics=found, corrections=corrections)
 
 
 def check_drive(scene: Scene, *, progress: Progress | None = None) -> ConventionsReport:
@@ -230,11 +226,7 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
     scene = scene.corrected()
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
     pairs = [(camera, lidar) for lidar in lidars[:1] for camera in scene.cameras if len(camera.images)]
-    found = []
-    for number, (camera, lidar) in enumerate(pairs, start=1):
-        found.append(_judged_pair(scene, camera, lidar))
-        if progress is not None:
-            progress(number, len(pairs))
+    found = [_judged_pair(scene, *pair) for pair in reporting(pairs, progress, len(pairs))]
     points = []
     for lidar in lidars:
         possible = tuple(frame.value for frame in possible_points_frames(Subject(scene), lidar))

@@ -8,10 +8,9 @@ from sceneloom.arrays import Float64Array, check_array
 from sceneloom.geometry.rigid import (
     RigidTransform,
     conjugate_quaternion,
-    matrix_from_quaternion,
+    matrix_from_rotation_vector,
     multiply_quaternions,
     nearest_rotation,
-    quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
 
@@ -76,7 +75,7 @@ def moved_by(a_from_b: RigidTransform, step: Float64Array) -> RigidTransform:
 
     The position of b in a is translated, not rotated.
     """
-    rotation = matrix_from_quaternion(quaternion_from_rotation_vector(step[:3]))
+    rotation = matrix_from_rotation_vector(step[:3])
     return RigidTransform(nearest_rotation(rotation @ a_from_b.rotation)[0], a_from_b.translation + step[3:])
 
 

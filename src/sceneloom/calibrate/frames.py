@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -47,23 +47,17 @@ class ScanOrder:
         order: (M,) int64, the points line by line, each line by azimuth; points at the lidar itself are left out.
         lines: (M,) int64, the line of each of them, 0 for the lowest one.
         azimuths: (M,) float64 [rad], about the lidar's z axis where it was when it measured them, -π to π.
-        elevations: (M,) float64 [rad].
         ranges: (M,) float64 [m].
         count: number of lines.
+        spacing: the usual angle from one line to the next [rad]; 0 for a single line.
     """
 
     order: Int64Array
     lines: Int64Array
     azimuths: Float64Array
-    elevations: Float64Array
     ranges: Float64Array
     count: int
-
-    @property
-    def spacing(self) -> float:
-        """The usual angle from one line to the next [rad]; 0 for a single line."""
-        means = np.bincount(self.lines, self.elevations) / np.maximum(np.bincount(self.lines), 1)
-        return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
+    spacing: float
 
     @property
     def step(self) -> float:
@@ -76,7 +70,7 @@ class ScanOrder:
         wanted = np.zeros(max(int(self.order.max(initial=0)), int(points.max(initial=0))) + 1, np.bool_)
         wanted[points] = True
         rows = np.flatnonzero(wanted[self.order])
-        names = ("order", "lines", "azimuths", "elevations", "ranges")
+        names = ("order", "lines", "azimuths", "ranges")
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in names}
         return replace(self, **columns)
 
@@ -115,30 +109,35 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
     lines = None if rings is None else rings[used].astype(np.int64)
     if lines is None or not _LEAST_LINES <= len(np.unique(lines)) <= _MOST_LINES:
-        by_order = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
-        lines = _most_level(by_order, elevations)
+        lines = _most_level(_by_file_order(azimuths), elevations)
         if lines is None:
             lines = _most_level([_by_elevations(elevations)], elevations)
     if lines is None:
         return None
     numbers, count = _from_below(lines, elevations)
     rows = np.lexsort((azimuths, numbers))
-    return ScanOrder(used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count)
+    means = _means_of_lines(numbers, elevations, count)
+    spacing = float(np.median(np.diff(means))) if count > 1 else 0.0
+    return ScanOrder(used[rows], numbers[rows], azimuths[rows], ranges[rows], count, spacing)
 
 
-def _by_file_order(azimuths: Float64Array, cut: float) -> Int64Array | None:
-    """Number the rotations of a file that has one line after another, each beginning at the azimuth `cut`."""
+def _by_file_order(azimuths: Float64Array) -> list[Int64Array | None]:
+    """Number the rotations of a file that has one line after another, by the azimuths at which each may begin."""
     steps = np.mod(np.diff(azimuths) + np.pi, 2.0 * np.pi) - np.pi
     forward = np.mean(steps > 0) >= 0.5
     if np.mean(steps > 0 if forward else steps < 0) < _ORDERED_SHARE:
-        return None
+        return []
     # a gap may be wider than half a rotation; what seems a small step back is one
     ahead = np.mod(steps if forward else -steps, 2.0 * np.pi)
     ahead[ahead > 2.0 * np.pi - _JITTER] -= 2.0 * np.pi
-    begun = np.mod(azimuths[0] - cut if forward else cut - azimuths[0], 2.0 * np.pi)
-    rotations = np.floor((begun + np.concatenate([[0.0], np.cumsum(ahead)])) / (2.0 * np.pi)).astype(np.int64)
-    lines: Int64Array = rotations - rotations.min()
-    return lines if _LEAST_LINES <= lines.max() + 1 <= _MOST_LINES else None
+    rotated = np.concatenate([[0.0], np.cumsum(ahead)])
+    found: list[Int64Array | None] = []
+    for cut in (0.0, np.pi, float(azimuths[0])):
+        begun = np.mod(azimuths[0] - cut if forward else cut - azimuths[0], 2.0 * np.pi)
+        rotations = np.floor((begun + rotated) / (2.0 * np.pi)).astype(np.int64)
+        lines: Int64Array = rotations - rotations.min()
+        found.append(lines if _LEAST_LINES <= lines.max() + 1 <= _MOST_LINES else None)
+    return found
 
 
 def _by_elevations(elevations: Float64Array) -> Int64Array | None:
@@ -168,19 +167,23 @@ def _most_level(numberings: list[Int64Array | None], elevations: Float64Array) -
 def _unevenness(lines: Int64Array, elevations: Float64Array) -> float:
     """How much the elevations within a line differ, as part of the angle to the next line."""
     numbers, count = _from_below(lines, elevations)
-    counts = np.maximum(np.bincount(numbers, minlength=count), 1)
-    means = np.bincount(numbers, elevations, minlength=count) / counts
-    deviations = np.bincount(numbers, np.abs(elevations - means[numbers]), minlength=count) / counts
+    means = _means_of_lines(numbers, elevations, count)
+    deviations = _means_of_lines(numbers, np.abs(elevations - means[numbers]), count)
     return float(np.median(deviations) / max(np.median(np.diff(means)), 1e-9))
 
 
 def _from_below(lines: Int64Array, elevations: Float64Array) -> tuple[Int64Array, int]:
-    """Number lines anew from the lowest to the highest."""
-    _, inverse, counts = np.unique(lines, return_inverse=True, return_counts=True)
-    means = np.bincount(inverse, elevations) / counts
-    ranks = np.empty(len(counts), np.int64)
-    ranks[np.argsort(means, kind="stable")] = np.arange(len(counts))
-    return ranks[inverse], len(counts)
+    """Number lines anew from the lowest to the highest, those without points left out."""
+    counts = np.bincount(lines)
+    filled = np.flatnonzero(counts)
+    means = np.bincount(lines, elevations)[filled] / counts[filled]
+    ranks = np.zeros(len(counts), np.int64)
+    ranks[filled[np.argsort(means, kind="stable")]] = np.arange(len(filled))
+    return ranks[lines], len(filled)
+
+
+def _means_of_lines(lines: Int64Array, values: Float64Array, count: int) -> Float64Array:
+    return np.asarray(np.bincount(lines, values, count) / np.maximum(np.bincount(lines, minlength=count), 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +261,7 @@ def calibration_frames(
         reference=camera.id, cameras=camera.id, depth_cameras=(), lidars=lidar.id, trajectory=drive.ego
     )
     found = []
-    for row in spread_rows(len(camera.images), most):
+    for row in spread_rows(len(camera.images), most).tolist():
         sample = samples[row]
         image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
         if image is not None and sweep is not None:
@@ -271,12 +274,6 @@ def calibration_frames(
             "expected one at least",
         )
     return tuple(found)
-
-
-def spread_rows(count: int, most: int) -> list[int]:
-    """At most so many numbers of images or sweeps, evenly spread."""
-    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    return rows
 
 
 def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
@@ -415,12 +412,7 @@ class _Drive:
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
     """`world_from_sensor` at a time [ns]; None where the poses do not reach."""
-    if not -(2**63) <= time_ns < 2**63:
-        return None
-    found = source.at(np.array([time_ns], np.int64))
-    if not np.isfinite(found.positions).all():
-        return None
-    return RigidTransform.from_quaternion(found.positions[0], found.quaternions_xyzw[0])
+    return source.pose_at(time_ns) if -(2**63) <= time_ns < 2**63 else None
 
 
 def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:

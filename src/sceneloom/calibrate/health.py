@@ -48,24 +48,12 @@ from sceneloom.calibrate.measures import (
     UNITS,
     Agreement,
     Change,
-    FrameFeatures,
     Parameter,
 )
-from sceneloom.calibrate.refinement import (
-    CHANNELS,
-    FARTHEST,
-    WIDTHS_PX,
-    Around,
-    Level,
-    climbed,
-    find_cues,
-    polished,
-    search,
-    sum_maps,
-)
+from sceneloom.calibrate.refinement import CHANNELS, FARTHEST, Around, climbed, find_levels, polished, search, sum_maps
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
-from sceneloom.detections.residuals import BoxFrame, BoxRotation
+from sceneloom.detections.results import BoxFrame, BoxRotation
 from sceneloom.geometry.rigid import (
     RigidTransform,
     cross_matrix,
@@ -380,7 +368,7 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
         )
 
     agreement = Agreement(frames, views)
-    nothing = _why_nothing(agreement.features)
+    nothing = _why_nothing(agreement)
     if nothing:
         return health(tuple(Item.unknown(name, nothing) for name in PARTS))
     rotations = _Search(agreement)
@@ -437,12 +425,13 @@ def _why_no_ego(points_frame: PointsFrame) -> str:
     )
 
 
-def _why_nothing(features: Sequence[FrameFeatures]) -> str:
+def _why_nothing(agreement: Agreement) -> str:
     """Why frames cannot determine anything of a calibration; "" if they may."""
+    features = agreement.features
     seen = sum(f.seen for f in features)
     if seen < _LEAST_SEEN:
         return f"{seen} points fall into {len(features)} images; expected {_LEAST_SEEN} at least"
-    if np.median([f.image.plainness for f in features]) > _PLAIN:
+    if np.median([image.plainness for image in agreement.images]) > _PLAIN:
         return "the images show nothing: dark, covered or fogged"
     if sum(len(f.edge_weights) for f in features) < _LEAST_EDGES:
         return "the sweeps show hardly any edges where the camera looks"
@@ -570,10 +559,11 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
     floor = _LIMITS["rotation"].floor / _LIMITS["rotation"].scale
     more = floor**2 * (share * np.array([1.0, 1.0, max(arm**-2, 1.0)]) - 1.0)
     near = [replace(f, camera_from_lidar=error @ f.camera_from_lidar) for f in frames if f.grey.shape == size]
-    cues = [one for frame in near if len((one := find_cues(frame)).weights) >= _LEAST_EDGES]
-    if not cues:
+    levels = find_levels(near, _LEAST_EDGES)
+    if not levels:
         return None
-    levels, views = [Level.of(cues, width) for width in WIDTHS_PX], views_of([one.frame for one in cues])
+    cues = levels[0].cues
+    views = views_of([one.frame for one in cues])
     whole = [k for k in Parameter if k is not Parameter.LATER or not _why_no_time(near)]
     found = search(levels, np.ones(len(cues), np.bool_), np.array(ROTATION, np.int64))
     fits = []

@@ -91,8 +91,6 @@ class _HandEye:
     mounting: MountingEstimate  # `body_from_sensor`, covariance about the body's axes; the guess's where not observed
     motions: int  # pairs that were compared
     inliers: float  # share of them within three times the noise
-    rotation_noise: float  # of the motions over half a second [rad]
-    shift_noise: float  # likewise [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +235,7 @@ def align_motions(motions: PairedMotions, *, guess: RigidTransform | None = None
     best = min(solutions, key=lambda solution: solution.cost)
     inliers = float((best.squares.sum(axis=1) < 6 * 3.0**2 / 2).mean())
     mounting = MountingEstimate.of(best.mounting, best.covariance(), "ego")
-    return _HandEye(mounting, len(motions), inliers, *best.noise[0].tolist())
+    return _HandEye(mounting, len(motions), inliers)
 
 
 def _closed_rotation(motions: PairedMotions) -> Float64Array:

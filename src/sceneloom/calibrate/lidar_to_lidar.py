@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import small_gicp
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, spread_rows
 from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane
-from sceneloom.calibrate.frames import MOST, spread_rows
+from sceneloom.calibrate.frames import MOST
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector, rotation_vector_from_quaternion
 from sceneloom.motion.deskew import BodyKnots
@@ -16,7 +16,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.samples import choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
-from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
+from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of, reporting
 
 _SPACING, _COARSE, _NEIGHBOURS = 0.4, 1.0, 15
 """Clouds are thinned to one point per cell of this size [m], for the fit and for the search over headings."""
@@ -90,11 +90,10 @@ def lidar_to_lidar(
     start = start or _ground_start(*pairs[len(pairs) // 2])
     if start is None:
         raise PoseError(f"{scene.source}: no ground in both clouds; expected one, or stated extrinsics to begin with")
-    fits = []
-    for done, (target, source) in enumerate(pairs, start=1):
-        fits.append(_fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES))
-        if progress is not None:
-            progress(done, len(pairs))
+    fits = [
+        _fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES)
+        for target, source in reporting(pairs, progress, len(pairs))
+    ]
     overlap = float(np.median([fit.overlap for fit in fits]))
     if overlap < _LEAST_OVERLAP:
         raise PoseError(
@@ -127,7 +126,7 @@ def _clouds(
     """Clouds of both lidars at one time, each in its own frame then."""
     ego = choose_ego(scene, None) if scene.trajectories else None
     reach_ns, times = scene_period_ns(scene), second.frames.timestamps_ns
-    for k in spread_rows(len(first.frames), most) if len(times) else ():
+    for k in spread_rows(len(first.frames), most).tolist() if len(times) else ():
         sweep = first.frames[k]
         other = int(np.argmin(np.abs(times - sweep.timestamp_ns)))
         if abs(int(times[other]) - sweep.timestamp_ns) > reach_ns:
@@ -154,10 +153,9 @@ def _at_one_time(
     if path is None or lidar.mount is None or times is None or len(times) == 0:
         return points
     source = PoseSource(path, lidar.mount, reach_ns)
-    at = source.at(np.array([time_ns], np.int64))
-    if not np.isfinite(at.positions).all():
+    here = source.pose_at(time_ns)
+    if here is None:
         return points
-    here = RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
     try:
         knots = BodyKnots.of(source, int(times.min()), int(times.max()))
     except PoseError:

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numba import float64, int16, types, void
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.calibrate.frames import CalibrationFrame, ScanOrder
@@ -63,7 +62,9 @@ EDGES, _EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
 MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
 """The measures; of all of them more is better."""
 
-_WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
+_WIDTHS_PX = {EDGES: 1.0, _EDGES_COARSE: 5.0}
+"""How far edges are widened, so that points that miss them by a little still meet them."""
+
 _LEVELS, _LEVEL_STEPS = 24, 16
 """Grey levels and intensities are distinguished by so many; parts of a grey level that are distinguished."""
 
@@ -75,9 +76,6 @@ _SURROUNDINGS_PX = 61  # edges are compared with others this near
 
 _NOISE, _STRONGEST = 2.0, 3.0
 """Grey levels per pixel that noise and compression make; edges as multiples of their surroundings, at most."""
-
-_WIDTHS_PX = {"fine": 1.0, "coarse": 5.0}
-"""How far edges are widened, so that points that miss them by a little still meet them."""
 
 _LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
 """A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
@@ -165,19 +163,19 @@ def _screw_motion(screw: Float64Array) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeasuredImage:
-    """An image as the measures need it."""
+    """An image as measures need it."""
 
     camera: Camera  # of the reduced image
     camera_model: Float64Array  # its numbers as the projection takes them
     grey: Float32Array  # (H, W), the reduced image, 0 to 255
-    edges: dict[str, Float32Array]  # "fine", "coarse": (4, H, W), by direction, in multiples of the usual
-    levels: Float32Array  # (H, W), 0 to `_LEVELS` - 1, each level as frequent as any other
+    maps: dict[str, Float32Array]
+    """By measure: edges (4, H, W), by direction, in multiples of the usual; for `INFORMATION` grey levels (H, W)."""
     plainness: float  # share of the image that shows nothing, being of one brightness
 
 
-def _blur(image: Float32Array, width: float) -> Float32Array:
+def _blur(image: Float32Array, width: float, output: Float32Array | None = None) -> Float32Array:
     """Blur an image (H, W) float32 by a Gaussian of a standard deviation [px], up to three of it; borders mirror."""
-    return np.asarray(ndimage.gaussian_filter(image, width, truncate=3.0), np.float32)
+    return np.asarray(ndimage.gaussian_filter(image, width, truncate=3.0, output=output), np.float32)
 
 
 def _box_means(image: Float32Array, size: int) -> Float32Array:
@@ -185,21 +183,23 @@ def _box_means(image: Float32Array, size: int) -> Float32Array:
     return np.asarray(ndimage.uniform_filter(image, size, mode="nearest"), np.float32)
 
 
-def measured_image(grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)) -> _MeasuredImage:
-    """Reduce an image to pixels of at least 0.08 degrees, and find its edges, at these widths, and levels."""
+def measured_image(grey: Float32Array, camera: Camera, measures: Collection[str] = MEASURES) -> _MeasuredImage:
+    """Reduce an image to pixels of at least 0.08 degrees, and find what these measures need: its edges and levels."""
     small, reduced = _reduced_image(grey, camera)
     smoothed = _blur(small, _SMOOTHED_PX)
     across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
     strength = np.hypot(across, down)
     shares = 1.0 / (_box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
-    angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-    directed = [
-        np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
-        for cosine, sine in zip(np.cos(angles).astype(np.float32), np.sin(angles).astype(np.float32), strict=True)
-    ]
-    edges = {name: np.stack([_blur(image, _WIDTHS_PX[name]) for image in directed]) for name in widths}
     plain = float(np.mean(_box_means(strength, 9) < 0.25))
-    return _MeasuredImage(reduced, intrinsics_vector(reduced), small, edges, evened(_blur(small, _GREY_PX)), plain)
+    maps = {name: np.empty((DIRECTIONS, *small.shape), np.float32) for name in _WIDTHS_PX if name in measures}
+    angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    for number, (cosine, sine) in enumerate(np.column_stack([np.cos(angles), np.sin(angles)]).astype(np.float32)):
+        directed = np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
+        for name, edges in maps.items():
+            _blur(directed, _WIDTHS_PX[name], edges[number])
+    if INFORMATION in measures:
+        maps[INFORMATION] = evened(_blur(small, _GREY_PX))
+    return _MeasuredImage(reduced, intrinsics_vector(reduced), small, maps, plain)
 
 
 def _reduced_image(grey: Float32Array, camera: Camera) -> tuple[Float32Array, Camera]:
@@ -319,6 +319,8 @@ def _jumps_anywhere(
     """Jumps between neighbours in direction as seen from a location near the lidar, where no lines are known."""
     if len(chosen) <= _NEIGHBOURS:
         return chosen[:0], chosen[:0]
+    from scipy.spatial import cKDTree
+
     points = points_lidar[chosen] - eye_lidar
     ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     directions = points / ranges[:, None]
@@ -336,9 +338,9 @@ class FrameFeatures:
     """The features of one frame.
 
     Attributes:
-        frame, image: the frame and its image.
+        frame: the frame.
         edge_points: (E, 3) float64 [m], lidar frame.
-        edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredImage.edges` counts.
+        edge_kinds: (E,) uint8, the direction across the edge, as edges of images are counted.
         edge_weights: (E,) float32.
         edge_cells: (E,) int16, tile of the image.
         level_points: (P, 3) float64 [m], lidar frame, seen by the camera.
@@ -349,7 +351,6 @@ class FrameFeatures:
     """
 
     frame: CalibrationFrame
-    image: _MeasuredImage
     edge_points: Float64Array
     edge_kinds: UInt8Array
     edge_weights: Float32Array
@@ -367,29 +368,26 @@ class FrameFeatures:
         return replace(self, **columns)
 
 
-def extract(frame: CalibrationFrame, image: _MeasuredImage | None = None) -> FrameFeatures:
-    """Find the features of a frame under its stated calibration; `image` where it was measured before."""
-    if image is None:
-        image = measured_image(frame.grey, frame.camera)
+def extract(frame: CalibrationFrame, camera: Camera) -> FrameFeatures:
+    """Find the features of a frame under its stated calibration; `camera` is that of the measured image."""
     chosen, stated = _around_view(frame), frame.camera_from_lidar
     edges = find_depth_edges(frame, chosen)
     near, far = (
-        project_unbounded(image.camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
+        project_unbounded(camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
     )
     directions = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
     known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(directions)))
     kinds = np.rint(directions[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
     seen, visible = _seen(frame, chosen)
     level_rows, levels = _levels(frame, visible)
-    level_pixels = project_unbounded(image.camera, stated.apply(frame.points_lidar[level_rows]))
+    level_pixels = project_unbounded(camera, stated.apply(frame.points_lidar[level_rows]))
     order = _as_in_memory(level_pixels, np.arange(len(level_rows)))
     return FrameFeatures(
         frame=frame,
-        image=image,
         edge_points=np.ascontiguousarray(edges.points_lidar[known]),
         edge_kinds=kinds.astype(np.uint8),
         edge_weights=edges.weights[known],
-        edge_cells=_tiles(near[known], image),
+        edge_cells=_tiles(near[known], camera),
         level_points=np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
         levels=levels[order],
         seen=seen,
@@ -445,9 +443,9 @@ def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, F
     return visible[drawn], middles.astype(np.float32)[values][drawn]
 
 
-def _tiles(pixels: Float64Array, image: _MeasuredImage) -> AnyArray:
-    columns = np.clip(pixels[:, 0] / image.camera.width * _TILES_ACROSS, 0, _TILES_ACROSS - 1).astype(np.int16)
-    rows = np.clip(pixels[:, 1] / image.camera.height * _TILES_DOWN, 0, _TILES_DOWN - 1).astype(np.int16)
+def _tiles(pixels: Float64Array, camera: Camera) -> AnyArray:
+    columns = np.clip(pixels[:, 0] / camera.width * _TILES_ACROSS, 0, _TILES_ACROSS - 1).astype(np.int16)
+    rows = np.clip(pixels[:, 1] / camera.height * _TILES_DOWN, 0, _TILES_DOWN - 1).astype(np.int16)
     return np.asarray(rows * _TILES_ACROSS + columns, np.int16)
 
 
@@ -478,6 +476,7 @@ class Agreement:
     """Scores candidates by all frames.
 
     Attributes:
+        images: of the frames, as measured.
         features: of the frames.
         views: (F,) int64, which frames show nearly the same.
         cells: number of cells.
@@ -488,7 +487,7 @@ class Agreement:
         frames: Sequence[CalibrationFrame],
         views: Int64Array | None = None,
         *,
-        images: Sequence[_MeasuredImage | None] | None = None,
+        images: Sequence[_MeasuredImage] | None = None,
     ) -> None:
         """Find the features of the frames.
 
@@ -496,8 +495,8 @@ class Agreement:
             views: (F,) int64, which frames show nearly the same; None: each another.
             images: of the frames, where they were measured before.
         """
-        measured = (None,) * len(frames) if images is None else images
-        self.features: tuple[FrameFeatures, ...] = tuple(map(extract, frames, measured))
+        self.images = [measured_image(frame.grey, frame.camera) for frame in frames] if images is None else images
+        self.features = [extract(frame, image.camera) for frame, image in zip(frames, self.images, strict=True)]
         self.views = np.arange(len(frames)) if views is None else views
         self.cells = _TILES * (int(self.views.max(initial=0)) + 1)
 
@@ -510,7 +509,7 @@ class Agreement:
     def _thinned(self) -> "Agreement":
         """The same by some of the features, for a first look."""
         thinned = copy(self)
-        thinned.features = tuple(features.thinned(_THINNED) for features in self.features)
+        thinned.features = [features.thinned(_THINNED) for features in self.features]
         return thinned
 
     def score(self, change: Change, measures: Collection[str] = MEASURES, *, rough: bool = False) -> Score:
@@ -531,20 +530,20 @@ class Agreement:
     def _score(self, change: Change, measures: Collection[str] = MEASURES) -> Score:
         sums, totals = np.zeros((len(MEASURES), self.cells)), np.zeros((len(MEASURES), self.cells))
         histogram = np.zeros((_LEVELS, _LEVELS))
-        for features, view in zip(self.features, self.views.tolist(), strict=True):
+        for features, image, view in zip(self.features, self.images, self.views.tolist(), strict=True):
             own = slice(view * _TILES, (view + 1) * _TILES)
-            placing = change.camera_from_points(features.frame), change.camera_model(features.image.camera_model)
-            ids, pixels = _project(features, features.edge_points, *placing)
+            placing = change.camera_from_points(features.frame), change.camera_model(image.camera_model)
+            ids, pixels = _project(image.camera, features.edge_points, *placing)
             for row, name in enumerate(MEASURES):
-                if name in _WIDTHS and name in measures:
+                if name in _WIDTHS_PX and name in measures:
                     sum_edges(
                         ids, pixels, features.edge_kinds, features.edge_weights, features.edge_cells,
-                        features.image.edges[_WIDTHS[name]], sums[row, own], totals[row, own],
+                        image.maps[name], sums[row, own], totals[row, own],
                     )  # fmt: skip
             if INFORMATION not in measures:
                 continue
-            ids, pixels = _project(features, features.level_points, *placing)
-            fill_histogram(ids, pixels, features.levels, features.image.levels, histogram)
+            ids, pixels = _project(image.camera, features.level_points, *placing)
+            fill_histogram(ids, pixels, features.levels, image.maps[INFORMATION], histogram)
         row = MEASURES.index(INFORMATION)
         table = _pointwise_information(histogram)
         # bins share points as the table shares its numbers, so that all points together need no second look
@@ -553,11 +552,10 @@ class Agreement:
 
 
 def _project(
-    features: FrameFeatures, points_lidar: Float64Array, camera_from_points: Float64Array, camera_model: Float64Array
+    camera: Camera, points_lidar: Float64Array, camera_from_points: Float64Array, camera_model: Float64Array
 ) -> tuple[Int64Array, Float32Array]:
     """Ids and pixels of the points, (N, 3) [m], that fall into the reduced image under a candidate."""
-    camera, room = features.image.camera, PointsInImage.room(len(points_lidar))
-    kernel = projection_kernel(camera.model)
+    room, kernel = PointsInImage.room(len(points_lidar)), projection_kernel(camera.model)
     kept = kernel(points_lidar, camera_from_points, camera_model, camera.width, camera.height, room)
     return room.point_ids[:kept], room.pixels[:kept]
 

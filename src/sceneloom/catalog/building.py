@@ -24,7 +24,7 @@ from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.running import LOST, Executor, ProcessPool, Warming, run_task
 from sceneloom.catalog.storage import SCENES_KEY, TABLES, VERSION, Layout, arrow_type, pyarrow, read_footer, read_part
 from sceneloom.checks.validation import validate
-from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError, redacted
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError, check_choice, redacted
 from sceneloom.formats.base.files import fingerprint, is_url, path_or_url, processors, size_on_disk
 from sceneloom.formats.base.registry import drives_of, open_scene
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
@@ -1134,8 +1134,7 @@ def update(
 
 
 def _checks(checks: Checks | str) -> Checks:
-    if checks not in tuple(Checks):
-        raise OptionError(f"checks {checks!r}; expected one of {', '.join(Checks)}")
+    check_choice("checks", checks, Checks)
     return Checks(checks)
 
 

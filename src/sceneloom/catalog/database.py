@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.catalog.storage import TABLES, Layout, arrow_type, pyarrow, read_footer, read_part
-from sceneloom.errors import DataError, MissingExtraError, OptionError, how_to_install
+from sceneloom.errors import DataError, MissingExtraError, OptionError, check_choice, how_to_install
 
 _AT_THE_START: dict[str, Any] = {
     "autoinstall_known_extensions": False,
@@ -338,8 +338,7 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
     Raises:
         OptionError: a time is none, gap or margin are below 0, or there is no such way to show it.
     """
-    if show not in SHOWN:
-        raise OptionError(f"show {show!r}; expected one of {', '.join(SHOWN)}")
+    check_choice("show", show, SHOWN)
     for name, seconds in (("gap", gap), ("margin", margin)):
         if not seconds >= 0:
             raise OptionError(f"{name} {seconds}; expected 0 s or more")

@@ -20,7 +20,7 @@ from sceneloom.checks.rule import (
     Subject,
     annotation_parts,
     frames_spread,
-    repaired_annotations,
+    with_each,
 )
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
@@ -124,12 +124,7 @@ class _Locations:
 
 def _transform_at(source: PoseSource | None, timestamp_ns: int) -> RigidTransform | None:
     """The transform at one time; None without a source, beyond its reach, and where its poses are not finite."""
-    if source is None:
-        return None
-    poses = source.at(np.array([timestamp_ns], np.int64))
-    if poses.coverage[0] == 2 or not np.isfinite(poses.positions).all():
-        return None
-    return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
+    return None if source is None else source.pose_at(timestamp_ns)
 
 
 def _points_in_world(subject: Subject, lidar: LidarSensor, sweep: LidarFrame, most: int) -> Float64Array | None:
@@ -722,7 +717,7 @@ def _positive_sizes(scene: Scene) -> Scene:
         values = np.concatenate([np.abs(cuboid.path.values[:, :3]), cuboid.path.values[:, 3:]], axis=1)
         return replace(cuboid, path=replace(cuboid.path, values=read_only(values)))
 
-    return repaired_annotations(scene, positive)
+    return with_each(scene, "annotations", positive)
 
 
 def _size_changes(subject: Subject) -> Iterator[Hit]:

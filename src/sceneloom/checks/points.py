@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt8Array, read_only
-from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, with_each
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.clouds import (
     LidarFrame,
@@ -341,13 +341,10 @@ def _each_once(scene: Scene) -> Scene:
         return points if whole else replace(points, point_ids=read_only(points.point_ids[firsts]))
 
     def repaired(annotation: Annotation) -> Annotation:
-        if not isinstance(annotation, LabeledPointsAnnotation):
-            return annotation
-        points = tuple(map(once, annotation.labeled_points))
-        same = all(new is old for new, old in zip(points, annotation.labeled_points, strict=True))
-        return annotation if same else replace(annotation, labeled_points=points)
+        labelled = isinstance(annotation, LabeledPointsAnnotation)
+        return with_each(annotation, "labeled_points", once) if labelled else annotation
 
-    return repaired_annotations(scene, repaired)
+    return with_each(scene, "annotations", repaired)
 
 
 def _of_two(subject: Subject) -> Iterator[Hit]:

@@ -33,10 +33,10 @@ from sceneloom.geometry.rigid import (
 from sceneloom.scene.annotations import CameraCalibration, LocalizationAdjustment, effect_of
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed, is_on_ego
+from sceneloom.scene.ego import is_on_ego
 from sceneloom.scene.motion import ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Sensor, scene_period_ns, time_span
+from sceneloom.scene.scene import Posed, Sensor, scene_period_ns, time_span
 from sceneloom.scene.types import Coordinates, Identifier, key_of
 
 FASTEST = 150.0

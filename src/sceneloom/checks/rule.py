@@ -8,19 +8,19 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, spread_rows
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.recording.contents import RecordingContents
 from sceneloom.scene.annotations import Annotation, Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
-from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthFrame
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor, frames_of
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, Severity
 
 _Table = TypeVar("_Table")
 _Kind = TypeVar("_Kind")
+_Owner = TypeVar("_Owner")
 ERROR, WARNING, HINT = Severity.ERROR, Severity.WARNING, Severity.HINT
 _FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|images)\[(\d+)\](.*)", re.DOTALL)
 
@@ -226,17 +226,9 @@ class Rule:
     profiles: tuple[str, ...] = ALL_PROFILES
 
 
-def frames_of(sensor: Sensor) -> Sequence[Any]:
-    """The frames or images of a sensor; none for sensors without."""
-    if isinstance(sensor, CameraSensor):
-        return sensor.images
-    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
-
-
 def timestamps_of(sensor: Sensor) -> Int64Array:
     """The times of a sensor's frames or images, (N,) int64 [ns]; none for sensors without frames."""
-    frames = frames_of(sensor)
-    return frames.timestamps_ns if isinstance(frames, LazyFrames) else np.zeros(0, np.int64)
+    return frames_of(sensor).timestamps_ns
 
 
 def period_ns(timestamps_ns: Int64Array) -> float:
@@ -247,7 +239,7 @@ def period_ns(timestamps_ns: Int64Array) -> float:
 
 def frames_spread(count: int, wanted: int) -> frozenset[int]:
     """Numbers of frames, evenly spread over all of a sensor's."""
-    return frozenset(np.linspace(0, count - 1, wanted).astype(int).tolist())
+    return frozenset(spread_rows(count, wanted, nearest=False).tolist())
 
 
 def frames_path(sensor_path: str, sensor: Sensor) -> str:
@@ -260,12 +252,18 @@ def seconds(nanoseconds: float) -> str:
     return f"{nanoseconds / 1e9:.6f} s"
 
 
-def repaired_annotations(scene: Scene, repair: Callable[[Annotation], Annotation]) -> Scene:
-    """Repair each annotation; `repair` gives back those that need nothing as they are."""
-    annotations = tuple(map(repair, scene.annotations))
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+def with_each(owner: _Owner, name: str, repair: Callable[[Any], Any]) -> _Owner:
+    """Repair each part in a field of a scene or an annotation; `repair` gives back those that need nothing as they are.
+
+    Args:
+        name: of the field, a tuple: "annotations", "sensors", ….
+    """
+    parts = getattr(owner, name)
+    repaired = tuple(map(repair, parts))
+    if all(new is old for new, old in zip(repaired, parts, strict=True)):
+        return owner
+    changed: _Owner = replace(cast("Any", owner), **{name: repaired})
+    return changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, frames_of, unless_recording
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, unless_recording
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, SENSOR_RECORDS
 from sceneloom.scene.annotations import (
     Activation,
@@ -30,9 +30,8 @@ from sceneloom.scene.annotations import (
 )
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
-from sceneloom.scene.scene import Sensor
+from sceneloom.scene.scene import Posed, Sensor, frames_of
 from sceneloom.scene.types import Identifier, key_of
 
 Key = tuple[type, Identifier]

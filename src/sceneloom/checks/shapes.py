@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject, annotation_parts, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject, annotation_parts, with_each
 from sceneloom.scene.annotations import AttributePath, PointsAnnotation, ShapeAnnotation, ShapeType
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
@@ -274,12 +274,9 @@ def _static_once(scene: Scene) -> Scene:
         return replace(one, values=one.values[:1], timestamps_ns=times)
 
     def repaired(annotation: Any) -> Any:
-        attributes = getattr(annotation, "attributes", ())
-        kept = tuple(map(once, attributes))
-        same = all(new is old for new, old in zip(kept, attributes, strict=True))
-        return annotation if same else replace(annotation, attributes=kept)
+        return with_each(annotation, "attributes", once) if hasattr(annotation, "attributes") else annotation
 
-    return repaired_annotations(scene, repaired)
+    return with_each(scene, "annotations", repaired)
 
 
 # fmt: off

@@ -23,10 +23,10 @@ from sceneloom.checks.rule import (
     camera_rows,
     frames_path,
     period_ns,
-    repaired_annotations,
     seconds,
     timestamps_of,
     unless_recording,
+    with_each,
 )
 from sceneloom.formats.sfs.clock import READABLE_TICKS_NS, UINT32_MAX, FileClock, chosen_offset_ns, point_times_dtype
 from sceneloom.formats.sfs.container import RawBytes
@@ -77,9 +77,7 @@ def _out_of_order(*, in_videos: bool) -> Find:
 
 def _with_sorted_frames(scene: Scene) -> Scene:
     """Sort the frames of every sensor by time; images of a video stay, since the video has its own order."""
-    sensors = tuple(map(_sorted, scene.sensors))
-    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
-    return replace(scene, sensors=sensors) if changed else scene
+    return with_each(scene, "sensors", _sorted)
 
 
 def _sorted(sensor: Any) -> Any:
@@ -410,9 +408,7 @@ def _not_increasing(subject: Subject) -> Iterator[Hit]:
 
 def _sorted_times(scene: Scene) -> Scene:
     """Sort paths by time and drop repeated rows; a path with two different rows at one time stays as it is."""
-    scene = repaired_annotations(scene, _with_sorted_parts)
-    attributes = _ordered(scene.attributes)
-    return scene if attributes is scene.attributes else replace(scene, attributes=attributes)
+    return with_each(with_each(scene, "annotations", _with_sorted_parts), "attributes", _ordered)
 
 
 _PARTS = ("path", "paths", "activations", "projections", "attributes")

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RULES, UNREADABLE
-from sceneloom.checks.rule import ALL_PROFILES, FrameInHand, Hit, Rule, Subject, frames_of
-from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
+from sceneloom.checks.rule import ALL_PROFILES, FrameInHand, Hit, Rule, Subject
+from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, check_choice, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.registry import (
@@ -29,8 +29,8 @@ from sceneloom.formats.recording.reader import RecordingExamination
 from sceneloom.formats.sfs.container import collector_paused
 from sceneloom.formats.sfs.reader import Examination
 from sceneloom.scene.cameras import CameraImage, DepthFrame
-from sceneloom.scene.scene import Corrections, Scene
-from sceneloom.scene.types import Progress
+from sceneloom.scene.scene import Corrections, Scene, frames_of
+from sceneloom.scene.types import Progress, reporting
 from sceneloom.stages import stage
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
@@ -172,8 +172,7 @@ def chosen_rules(profile: str, *, only: Iterable[str] = (), ignored: Iterable[st
     Raises:
         OptionError: there is no such profile, or no such rule.
     """
-    if profile not in ALL_PROFILES:
-        raise OptionError(f"profile {profile!r}; expected one of {', '.join(ALL_PROFILES)}")
+    check_choice("profile", profile, ALL_PROFILES)
     rules, only, ignored = all_rules(), frozenset(only), frozenset(ignored)
     known_ids = {rule.id for rule in rules}
     for identifier in sorted((only | ignored) - known_ids):
@@ -240,12 +239,10 @@ def find_all(
     if not (frames and looking):
         return hits
     total = sum(len(frames_of(sensor)) for sensor in subject.scene.sensors)
-    for done, frame in enumerate(_frames_in_hand(subject), start=1):
+    for frame in reporting(_frames_in_hand(subject), progress, total):
         for rule in looking:
             if rule.look is not None:
                 hits[rule.id].extend(rule.look(subject, frame))
-        if progress is not None:
-            progress(done, total)
     for rule in looking:
         if rule.conclude is not None:
             hits[rule.id].extend(rule.conclude(subject))

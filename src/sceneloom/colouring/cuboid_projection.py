@@ -22,7 +22,7 @@ from sceneloom.arrays import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.rolling_shutter import ShutterDirection, pixels_by_lines, project_by_lines
-from sceneloom.errors import OptionError, PoseError
+from sceneloom.errors import OptionError, PoseError, check_choice
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.boxes import find_points_in_boxes
@@ -47,7 +47,7 @@ from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.samples import ALL, WORLD, Choice, choose_ego, chosen_sensors, frame_of_points, locations_of
 from sceneloom.scene.scene import Scene, check_camera_models, sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Identifier, Progress, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import skipped
 
 CENTRE_TO_CORNER = 0.5
 """Source: "Pixels" in docs/CONVENTIONS.md: corner = centre + 0.5."""
@@ -846,15 +846,12 @@ def project_cuboids(
             if progress is not None:
                 progress(done, total)
         views.append(view)
-    notes = [("camera-unplaced", f"camera {camera.id!r} sees nothing: its pose is unknown", 1) for camera in lost]
+    unknown = "sees nothing: its pose is unknown"
+    warnings = [skipped("camera-unplaced", "sensors", f"camera {camera.id!r} {unknown}") for camera in lost]
     for view in views:
         if view.unplaced:
             message = f"images of camera {view.camera_id!r} see nothing: they are beyond the ends of its trajectory"
-            notes.append(("images-unplaced", message, view.unplaced))
-    warnings = (
-        DataWarning(kind=WarningKind.SKIPPED, code=code, location="sensors", message=message, count=count)
-        for code, message, count in notes
-    )
+            warnings.append(skipped("images-unplaced", "sensors", message, count=view.unplaced))
     rows = {key_of(annotation.id): row for row, annotation in enumerate(table.annotations)}
     writer = _Writer(views, rows, table, activations)
     annotations = tuple(writer.written(annotation) for annotation in scene.annotations)
@@ -875,15 +872,15 @@ class _Look:
         """Add the observations of image `k`, if its pose is known, to a view."""
         image, time_ns = camera.images[k], int(camera.images.timestamps_ns[k])
         location = source.mounted(image.mount)
-        pose = location.at(np.array([time_ns], np.int64))
+        world_from_camera = location.pose_at(time_ns)
         # the sensor by whose activations cuboids are there
         sensor_id = None if self.anew else camera.id
         rows, boxes = self.table.find(time_ns, sensor_id=sensor_id)
-        if not np.isfinite(pose.positions).all():
+        if world_from_camera is None:
             return
         observations = observe_cuboids(
             image.camera,
-            RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+            world_from_camera,
             boxes,
             hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
             min_pixels=self.min_pixels,
@@ -1173,8 +1170,7 @@ def count_points(
         PoseError: the pose of a lidar's points in the world is unknown.
         DataError: a frame cannot be read.
     """
-    if moment not in tuple(Moment):
-        raise OptionError(f"moment {str(moment)!r}; expected one of {', '.join(Moment)}")
+    check_choice("moment", moment, Moment)
     if not 0.0 <= margin < _FARTHEST_BOX:
         raise OptionError(f"margin {margin} m; expected a number from 0 on")
     scene = scene.corrected()

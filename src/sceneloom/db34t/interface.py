@@ -77,7 +77,7 @@ from sceneloom.errors import CalibrationError, OptionError, PoseError, Sceneloom
 from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType, algorithm
 from sceneloom.fusion.system import STILL, FusedDetectionFrame, FusionSystem, Leave, SeenBoxes
-from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses, PoseSource
@@ -408,10 +408,8 @@ class Rig:
     def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
         if lidar_id not in self._trajectories:
             return _HERE
-        pose = PoseSource(self._trajectories[lidar_id], _HERE, _REACH_NS).at(np.array([time_ns], np.int64))
-        if pose.coverage[0] == OUT_OF_REACH:  # which only a sweep without points can be, if it was compensated
-            return _HERE
-        return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+        pose = PoseSource(self._trajectories[lidar_id], _HERE, _REACH_NS).pose_at(time_ns)
+        return _HERE if pose is None else pose  # out of reach is only a sweep without points, if it was compensated
 
 
 _HERE = RigidTransform.identity()

@@ -17,9 +17,6 @@ not one object, and their offsets are anywhere; those that are have the offset t
 leave.
 """
 
-from dataclasses import dataclass
-from enum import StrEnum
-
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
@@ -28,9 +25,9 @@ from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER
 from sceneloom.detections.detectors import numbers_of
 from sceneloom.detections.projection import project_outlines
-from sceneloom.detections.results import DetectionPair
+from sceneloom.detections.results import BoxRotation, DetectionPair
 from sceneloom.kernels.box_fusion import boxes_with_area, boxes_with_position
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed
 
 _LARGEST_DEG = 5.0  # rotates beyond are not looked for [°]
 _LEAST_AGREEING = 20  # so many couples must agree
@@ -140,37 +137,6 @@ _LEAST_DEPTH = 0.3  # cosine of the angle to the optical axis from which on tang
 _BETTER = 1.2  # so many times more couples must agree about a rotation than about none
 
 
-class BoxFrame(StrEnum):
-    """The frame in which a detector's list states its boxes in space.
-
-    Brought into the lidar's frame and back into the image by one stated transform, boxes show nothing of it: those of
-    `CAMERA` and `WORLD` are the same pixels whatever the extrinsics of the lidar.
-    """
-
-    LIDAR = "lidar"
-    CAMERA = "camera"
-    WORLD = "world"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoxRotation:
-    """The rotation about which boxes of images and sweeps agree, and how sure that is.
-
-    Attributes:
-        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [rad].
-        covariance: (3, 3), of it, by chance alone: what boxes of one detector have in common is not in it [rad²].
-        agreeing: couples of boxes that fit after it.
-        by_chance: couples that fit after the best of many other rotations.
-        images: that show couples which fit.
-    """
-
-    rotation: Float64Array
-    covariance: Float64Array
-    agreeing: int
-    by_chance: int
-    images: int
-
-
 _TOLD_DEG = 1.0  # rotations below may be those of boxes and of motion between sweep and image [°]
 
 
@@ -223,7 +189,7 @@ class BoxResiduals:
             f"rotated by ({', '.join(f'{angle:+.1f}' for angle in angles)})° about the camera's axes: "
             f"{agreeing} couples fit then, {now} now"
         )
-        return [DataWarning(kind=WarningKind.ASSUMED, code="calibration-off", location=camera_id, message=message)]
+        return [assumed("calibration-off", camera_id, message)]
 
     def _found(self) -> tuple[Float64Array, Float64Array, Float64Array, BoolArray] | None:
         """All couples, their slopes, the rotation about which most agree, and which do; None where there are few."""

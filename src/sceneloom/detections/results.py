@@ -1,6 +1,7 @@
 """What detection fusion takes and gives: the boxes of a sweep and of an image, and the objects behind them."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
@@ -122,3 +123,34 @@ class DetectionAlgorithm(Protocol):
     def __call__(self, pair: DetectionPair, /) -> FusedBoxes:
         """Fuse the boxes of one sweep with those of one image."""
         ...
+
+
+class BoxFrame(StrEnum):
+    """The frame in which a detector's list states its boxes in space.
+
+    Brought into the lidar's frame and back into the image by one stated transform, boxes show nothing of it: those of
+    `CAMERA` and `WORLD` are the same pixels whatever the extrinsics of the lidar.
+    """
+
+    LIDAR = "lidar"
+    CAMERA = "camera"
+    WORLD = "world"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxRotation:
+    """The rotation about which boxes of images and sweeps agree, and how sure that is.
+
+    Attributes:
+        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [rad].
+        covariance: (3, 3), of it, by chance alone: what boxes of one detector have in common is not in it [rad²].
+        agreeing: couples of boxes that fit after it.
+        by_chance: couples that fit after the best of many other rotations.
+        images: that show couples which fit.
+    """
+
+    rotation: Float64Array
+    covariance: Float64Array
+    agreeing: int
+    by_chance: int
+    images: int

@@ -11,31 +11,21 @@ from typing import Any
 import numpy as np
 
 from sceneloom.editing.move_world import FrameChange, moved_world
-from sceneloom.editing.references import (
-    LINES,
-    WHOLE_LABELS,
-    assumed,
-    skipped,
-    with_ours,
-    with_warnings,
-    without,
-    without_fields,
-)
+from sceneloom.editing.references import LINES, WHOLE_LABELS, with_ours, with_warnings, without, without_fields
 from sceneloom.editing.retime import clock_from_zero
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_choice
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import usable_positions
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Posed, Scene
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Coordinates
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 DATES = ("keep", "shift")
 """What can become of the time of day."""
@@ -61,10 +51,8 @@ def anonymised_scene(scene: Scene, *, fixes: str = "drop", dates: str = "keep") 
         OptionError: there is no such choice.
         DataError: a frame with labelled points cannot be read.
     """
-    if dates not in DATES:
-        raise OptionError(f"dates {dates!r}; expected one of {', '.join(DATES)}")
-    if fixes not in _FIXES:
-        raise OptionError(f"fixes {fixes!r}; expected one of {', '.join(_FIXES)}")
+    check_choice("dates", dates, DATES)
+    check_choice("fixes", fixes, _FIXES)
     moved = _with_positions_from_start(scene, fixes)
     kinds = {"location", "name", "file"}
     if dates == "shift":

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.move_world import EGO_ID, FrameChange, moved_world, to_world, with_odometry
-from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.scene.annotations import (
@@ -25,12 +25,11 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import ANNOTATIONS_FRAME
 from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory
-from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, scene_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import assumed, repaired, skipped
 
 _Correction = LocalizationAdjustment | CameraCalibration
 
@@ -77,13 +76,7 @@ def corrected_scene(scene: Scene) -> Scene:
     """
     pending = scene.pending_corrections
     reported = [
-        DataWarning(
-            kind=WarningKind.REPAIRED,
-            code="correction-applied",
-            location=f"annotations[{correction.id}]",
-            message=f"{correction.type} applied: {effect_of(correction)}",
-        )
-        for correction in pending
+        repaired("correction-applied", f"annotations[{c.id}]", f"{c.type} applied: {effect_of(c)}") for c in pending
     ]
     return with_warnings(apply_corrections(scene, corrections=[c.id for c in pending]), reported)
 

@@ -13,8 +13,8 @@ from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import Fit, fit
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
-from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
-from sceneloom.errors import CalibrationError, OptionError
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
+from sceneloom.errors import CalibrationError, OptionError, check_choice
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
@@ -27,7 +27,7 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.scene import Scene, check_camera_models
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, Key, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 
 def _chosen_cameras(
@@ -96,8 +96,7 @@ def convert_camera_models(
         OptionError: the model is unknown, a camera is not there, or a limit is none.
         CalibrationError: the model comes no nearer than the limits state.
     """
-    if model not in MODELS:
-        raise OptionError(f"camera model {model!r}; expected one of {', '.join(MODELS)}")
+    check_choice("camera model", model, MODELS)
     if not limit_px >= 0 or not 0 <= share <= 1:
         raise OptionError(f"limit {limit_px} px, share {share}; expected 0 px or more and a share of 0 to 1")
     scene = scene.corrected()

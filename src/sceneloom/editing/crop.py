@@ -16,12 +16,10 @@ from sceneloom.editing.references import (
     TEXTS,
     WHOLE_LABELS,
     NewIds,
-    assumed,
     entries_of,
     metadata_of,
     ours_of,
     recounted,
-    skipped,
     streams_of,
     with_annotation_ids,
     with_ours,
@@ -30,7 +28,7 @@ from sceneloom.editing.references import (
     with_warnings,
 )
 from sceneloom.editing.thin import OnPoints, with_map_points, with_points
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import ego_motion_as_given
 from sceneloom.scene.annotations import (
@@ -47,13 +45,13 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_at, point_at, shape_at
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import EgoMotion, Posed, frames_ns, sensor_source
+from sceneloom.scene.ego import EgoMotion, frames_ns, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.scene import Scene, Sensor, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, Sensor, scene_period_ns
 from sceneloom.scene.time_range import Interval, Renumbering, chosen_interval, cut_scene, renumbered, select_rows
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 _CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
 
@@ -98,8 +96,7 @@ def crop_scene(
         PoseError: the poses that this needs are not known.
         DataError: a frame that this needs cannot be read.
     """
-    if frame not in tuple(PointsFrame):
-        raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
+    check_choice("frame", frame, PointsFrame)
     gone = tuple(without)
     if not gone and all(stated is None for stated in (start, stop, box, reach, sensors, labels)):
         raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")

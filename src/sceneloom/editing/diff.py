@@ -18,10 +18,9 @@ from sceneloom.scene.annotations import CuboidAnnotation, CuboidPath, PointPath,
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses, point_at
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, ShootingSensor, shots_of
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.scene import Posed, Scene, Sensor, frame_times
 from sceneloom.scene.time_range import TIMED_COLUMNS
 from sceneloom.scene.types import Progress, key_of
 

@@ -14,12 +14,10 @@ from sceneloom.editing.move_world import FrameChange, moved_world
 from sceneloom.editing.references import (
     OURS,
     NewIds,
-    assumed,
     entries_of,
     metadata_of,
     ours_of,
     recounted,
-    skipped,
     with_annotation_ids,
     with_ours,
     with_sensor_ids,
@@ -47,14 +45,13 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of, with_shots
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.scene import Posed, Scene, Sensor, frame_times
 from sceneloom.scene.time_range import TIMED_COLUMNS
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 _SAME_TOLERANCE = 1e-6
 """Numbers of two scenes that differ by no more are equal, since they were computed into one world [m], …"""

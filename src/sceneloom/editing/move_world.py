@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
-from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
-from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
+from sceneloom.errors import ArrayError, OptionError, PoseError, check_choice
 from sceneloom.geometry.rigid import (
     RigidTransform,
     conjugate_quaternion,
@@ -45,7 +45,6 @@ from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.ego import (
     EgoMotion,
-    Posed,
     camera_path,
     ego_path,
     frames_ns,
@@ -56,10 +55,10 @@ from sceneloom.scene.ego import (
 )
 from sceneloom.scene.motion import OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, Sensor, frame_times, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, Sensor, frame_times, scene_period_ns
 from sceneloom.scene.time_range import Renumbering, renumbered, select_rows
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, Progress, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within the limit."""
@@ -327,8 +326,7 @@ def to_sensor(
 def _stated_annotations_frame(scene: Scene, stated: Coordinates | str | None) -> Coordinates:
     if stated is None:
         return annotations_frame(scene)
-    if stated not in tuple(Coordinates):
-        raise OptionError(f"annotations in {stated!r}; expected one of {', '.join(Coordinates)}")
+    check_choice("annotations in", stated, Coordinates)
     return Coordinates(stated)
 
 

@@ -15,7 +15,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning
 
 OURS = "sceneloom"
 """Name of our part of a scene's metadata."""
@@ -38,16 +38,6 @@ def with_warnings(scene: Scene, warnings: Iterable[DataWarning]) -> Scene:
     """The scene with further warnings; those that count nothing are left out."""
     reported = tuple(warning for warning in warnings if warning.count > 0)
     return replace(scene, warnings=(*scene.warnings, *reported)) if reported else scene
-
-
-def skipped(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
-    """A warning that something was left out."""
-    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
-
-
-def assumed(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
-    """A warning that something is not stated and was assumed."""
-    return DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=count)
 
 
 DropField = Callable[[str, Any, str], bool]

@@ -13,10 +13,10 @@ from sceneloom.editing.references import LINES, TEXTS, streams_of
 from sceneloom.errors import OptionError
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of, with_shots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import Posed, camera_path, sensor_path
+from sceneloom.scene.ego import camera_path, sensor_path
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, time_span
+from sceneloom.scene.scene import Posed, Scene, Sensor, scene_period_ns, time_span
 from sceneloom.scene.types import Key, key_of
 
 _CLOCKED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor, ImuSensor, GnssSensor)  # sensors with a clock

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.editing.references import skipped, with_warnings
+from sceneloom.editing.references import with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import angle_between, slerp
 from sceneloom.scene.annotations import (
@@ -19,10 +19,10 @@ from sceneloom.scene.annotations import (
     locations_of,
 )
 from sceneloom.scene.annotations_at import CuboidAngles
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Posed, Scene
 from sceneloom.scene.time_range import select_rows
+from sceneloom.warnings import skipped
 
 _ROUNDING = 1e-9  # tolerances are kept this share smaller, so that they hold for another order of the same sums
 _NEAR_HALF_ROTATION = radians(179.0)  # beyond this, rounding decides which way is the shorter one

@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.editing.references import with_ours, with_warnings
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, chosen_shots
 from sceneloom.scene.clouds import (
     LidarFrame,
@@ -111,8 +111,7 @@ def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) ->
 def _check_cubes(side: float, keep: str) -> None:
     if not 0 < side < np.inf:
         raise OptionError(f"voxel {side}; expected a positive number of metres")
-    if keep not in _KEEPERS:
-        raise OptionError(f"keep {keep!r}; expected one of {', '.join(_KEEPERS)}")
+    check_choice("keep", keep, _KEEPERS)
 
 
 def evenly(count: int, wanted: int) -> Int64Array:

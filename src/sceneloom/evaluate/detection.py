@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.errors import ArrayError, OptionError
+from sceneloom.errors import ArrayError, OptionError, check_choice
 from sceneloom.evaluate.object_files import read_both
 from sceneloom.evaluate.objects import (
     KITTI_NEIGHBOURS,
@@ -305,8 +305,7 @@ def evaluate_detection(
     """
     check_sequences(results, truth)
     for name in difficulties:
-        if name not in DIFFICULTIES:
-            raise OptionError(f"difficulty {name!r}; expected one of {', '.join(DIFFICULTIES)}")
+        check_choice("difficulty", name, DIFFICULTIES)
     reported = {}
     for label in classes:
         pairs = pair_detections(results, truth, label, rules=rules)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, hold_arrays, read_only
-from sceneloom.errors import ArrayError, OptionError
+from sceneloom.errors import ArrayError, OptionError, check_choice
 from sceneloom.formats.kitti.labels import KittiLabels
 from sceneloom.kernels import overlaps
 
@@ -191,8 +191,7 @@ def similarity_named(name: Similarity | str) -> Similarity:
     Raises:
         OptionError: there is none.
     """
-    if name not in tuple(Similarity):
-        raise OptionError(f"similarity {str(name)!r}; expected one of {', '.join(Similarity)}")
+    check_choice("similarity", name, Similarity)
     return Similarity(name)
 
 

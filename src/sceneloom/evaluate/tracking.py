@@ -28,7 +28,7 @@ from sceneloom.evaluate.objects import (
 )
 from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.kernels import scores as kernels
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 CLASSES = ("car", "pedestrian")
 """The classes of KITTI's tracking benchmark."""
@@ -195,14 +195,8 @@ def compare_tracks(
     if len(ids) and (ids < 0).all():
         raise OptionError(f"{results}: no object has an id, which tracks need; see `sceneloom eval detection`")
     if (ids < 0).any():
-        skipped = DataWarning(
-            kind=WarningKind.SKIPPED,
-            code="results-without-id",
-            location=str(results),
-            message="objects whose id is below 0 are left out",
-            count=int((ids < 0).sum()),
-        )
-        warnings = (*warnings, skipped)
+        message = "objects whose id is below 0 are left out"
+        warnings = (*warnings, skipped("results-without-id", str(results), message, count=int((ids < 0).sum())))
     if similarity is None:
         chosen = Similarity.IMAGE if Similarity.IMAGE in sides.similarities else Similarity.SPACE
     else:
@@ -227,7 +221,6 @@ def evaluate_tracking(
     *,
     classes: Sequence[str] = CLASSES,
     rules: TrackingRules = _KITTI_RULES,
-    frame_counts: Mapping[str, int] | None = None,
 ) -> dict[str, ClassTracking]:
     """Evaluate tracks of some sequences against the truth.
 
@@ -235,23 +228,21 @@ def evaluate_tracking(
         results, truth: by name of the sequence; sequences without results have empty ones.
         classes: those to evaluate, each by itself.
         rules: what counts.
-        frame_counts: by name of the sequence. [default: up to the last frame in which there is an object]
 
     Returns:
         By class.
 
     Raises:
         OptionError: sequences are not the same on both sides, or there is none, or boxes are missing.
-        ArrayError: an id occurs twice in a frame, or a frame is beyond the sequence.
+        ArrayError: an id occurs twice in a frame.
     """
     check_sequences(results, truth)
     reported = {}
     for label in classes:
         sequences = {}
         for name in sorted(truth):
-            count = (frame_counts or {}).get(name)
             try:
-                sequences[name] = score_sequence(results[name], truth[name], label, rules=rules, frame_count=count)
+                sequences[name] = score_sequence(results[name], truth[name], label, rules=rules)
             except ArrayError as error:
                 raise ArrayError(f"sequence {name}: {error}") from error
         reported[label] = ClassTracking(combined=_combined(list(sequences.values())), sequences=sequences)
@@ -259,20 +250,15 @@ def evaluate_tracking(
 
 
 def score_sequence(
-    found: ObjectTable,
-    truth: ObjectTable,
-    label: str,
-    *,
-    rules: TrackingRules = _KITTI_RULES,
-    frame_count: int | None = None,
+    found: ObjectTable, truth: ObjectTable, label: str, *, rules: TrackingRules = _KITTI_RULES
 ) -> TrackingScores:
     """Evaluate tracks of one class in one sequence against the truth.
 
     Raises:
-        ArrayError: an id occurs twice in a frame, or a frame is beyond the sequence.
+        ArrayError: an id occurs twice in a frame.
         OptionError: boxes are missing.
     """
-    sequence = _Sequence.of(found, truth, label, rules, frame_count)
+    sequence = _Sequence.of(found, truth, label, rules)
     return TrackingScores(
         hota=_score_hota(sequence),
         clear=_score_clear(sequence, rules.least_similarity),
@@ -328,18 +314,12 @@ class _Sequence:
         return self.similarities, *self.pairs.locations, self.true_ids, self.found_ids
 
     @classmethod
-    def of(
-        cls, found: ObjectTable, truth: ObjectTable, label: str, rules: TrackingRules, frame_count: int | None
-    ) -> "_Sequence":
+    def of(cls, found: ObjectTable, truth: ObjectTable, label: str, rules: TrackingRules) -> "_Sequence":
         """Select the objects that count (Geiger et al. 2012; TrackEval, `Kitti2DBox.get_preprocessed_seq_data`)."""
         # found objects most like a true one which does not count (hidden, cut off, of a neighbouring class) do not
         # count either; nor do those without a true one that are small or in a region
         truth, found = truth.in_order(), found.in_order()
-        last = [int(objects.frames[-1]) if len(objects) else -1 for objects in (truth, found)]
-        for side, frame in zip(("truth", "results"), last, strict=True):
-            if frame_count is not None and frame >= frame_count:
-                raise ArrayError(f"{side}: frame {frame}; the sequence has {frame_count} frames, from 0")
-        frames = max(last) + 1 if frame_count is None else frame_count
+        frames = 1 + max(int(objects.frames[-1]) if len(objects) else -1 for objects in (truth, found))
         regions = truth.select(truth.are(rules.regions))
         own = truth.are(label)
         wanted = (own | truth.are(*rules.neighbours.get(label.lower(), ()))) & (truth.ids >= 0)

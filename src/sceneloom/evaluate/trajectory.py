@@ -12,8 +12,9 @@ import numpy as np
 from msgspec import structs
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
-from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.errors import ArrayError, OptionError, PoseError, check_choice
 from sceneloom.evaluate.plot import check_plot, save_plot
+from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.trajectories.table import read_trajectory_file
 from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import FARTHEST, TrajectoryFile
@@ -30,7 +31,7 @@ from sceneloom.geometry.rigid import (
 )
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.time_range import select_rows
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared unless others are given."""
@@ -314,7 +315,7 @@ def evaluate_trajectory(
     missing = [delta for delta, errors in relative.items() if errors is None]
     if missing:
         message = f"the trajectory is too short for steps of {', '.join(missing)}"
-        report = structs.replace(report, warnings=(*report.warnings, _warning("no-steps", message)))
+        report = structs.replace(report, warnings=(*report.warnings, assumed("no-steps", "", message)))
     if plot is not None:
         curves = [("translation [m]", lengths)] + ([] if degrees is None else [("rotation [°]", degrees)])
         _plot_errors(report, pairs, aligned, part.positions, curves, Path(plot), overwrite=overwrite)
@@ -451,8 +452,7 @@ def associate_poses(
         OptionError: `how` or the tolerance is wrong.
         PoseError: no pose has a partner.
     """
-    if how not in _TOLERANCES_NS:
-        raise OptionError(f"association {how!r}; expected one of {', '.join(_TOLERANCES_NS)}")
+    check_choice("association", how, _TOLERANCES_NS)
     tolerance_ns = _TOLERANCES_NS[how] if tolerance_ns is None else tolerance_ns
     if tolerance_ns < 0:
         raise OptionError(f"tolerance {tolerance_ns / 1e9:g} s; expected 0 or more")
@@ -485,24 +485,18 @@ def _nearest(timestamps_ns: Int64Array, query_ns: Int64Array) -> Int64Array:
 def _without_pairs(estimate: Trajectory, reference: Trajectory, away_ns: int, tolerance_ns: int) -> str:
     (a, b), (c, d) = ([int(one.timestamps_ns[row]) for row in (0, -1)] for one in (estimate, reference))
     spans = (
-        f"no pose of {estimate.name!r} ({_text(a)} to {_text(b)} s) has a partner in {reference.name!r} "
-        f"({_text(c)} to {_text(d)} s)"
+        f"no pose of {estimate.name!r} ({seconds_text(a)} to {seconds_text(b)} s) has a partner in {reference.name!r} "
+        f"({seconds_text(c)} to {seconds_text(d)} s)"
     )
     if b < c or d < a:
         return (
             f"{spans}: they do not overlap in time; if both clocks started with the drive, add "
-            f"{_text(c - a)} s to the estimate's times (`--offset {_text(c - a)}`)"
+            f"{seconds_text(c - a)} s to the estimate's times (`--offset {seconds_text(c - a)}`)"
         )
     return (
         f"{spans} within {tolerance_ns / 1e9:g} s; the nearest one is {away_ns / 1e9:.6g} s away: "
         "allow more (`--tolerance`)"
     )
-
-
-def _text(timestamp_ns: int) -> str:
-    whole, rest = divmod(abs(timestamp_ns), 1_000_000_000)
-    decimals = f"{rest:09d}".rstrip("0") or "0"
-    return f"{'-' if timestamp_ns < 0 else ''}{whole}.{decimals}"
 
 
 def covered_share(estimate_ns: Int64Array, reference_ns: Int64Array) -> float:
@@ -801,12 +795,12 @@ def _kitti_errors(pairs: Pairs, aligned: MatchedPoses) -> KittiErrors | None:
 
 def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> list[DataWarning]:
     """Warnings about the shape of the trajectory, missing orientations or other axes of the device."""
-    found = [_warning("doubtful-alignment", doubt) for doubt in alignment.doubts]
+    found = [assumed("doubtful-alignment", "", doubt) for doubt in alignment.doubts]
     ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
     if ours is None or theirs is None:
         side = "estimate" if ours is None else "reference"
         message = f"the {side} has no orientations: motions are compared in the aligned world, rotations not at all"
-        return [*found, _warning("no-orientations", message)]
+        return [*found, assumed("no-orientations", "", message)]
     rotations = multiply_quaternions(conjugate_quaternion(ours), theirs)
     mean, _ = nearest_rotation(matrix_from_quaternion(rotations).mean(axis=0))
     axes = quaternion_from_matrix(mean)
@@ -818,7 +812,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
             f"the device's axes differ by a constant rotation of {rotated:.1f}° (single poses deviate by "
             f"{strays:.2g}°): if one side has the poses of a camera, use `--est-optical` or `--ref-optical`"
         )
-        found.append(_warning("other-axes", message))
+        found.append(assumed("other-axes", "", message))
     return found
 
 
@@ -828,11 +822,7 @@ def _same_poses(estimate: Trajectory, reference: Trajectory) -> list[DataWarning
     pairs = [(getattr(estimate, name), getattr(reference, name)) for name in names]
     if not all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs):
         return []
-    return [_warning("same-poses", "estimate and reference are the same poses at the same times")]
-
-
-def _warning(code: str, message: str) -> DataWarning:
-    return DataWarning(kind=WarningKind.ASSUMED, code=code, location="", message=message)
+    return [assumed("same-poses", "", "estimate and reference are the same poses at the same times")]
 
 
 def _plot_errors(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_choice
 
 ORDERS = tuple("".join(order) for order in permutations("xyz"))
 """Orders of the product: "xyz" is Rx(roll) Ry(pitch) Rz(yaw), "zyx" is Rz(yaw) Ry(pitch) Rx(roll), …"""
@@ -71,15 +71,13 @@ def cuboid_angles_from_rotation(
 
 def _axes(order: str) -> tuple[int, int, int, float]:
     """The axes of an order, and whether they follow each other as x, y, z do (1) or the other way (-1)."""
-    if order not in ORDERS:
-        raise OptionError(f"order of angles {order!r}; expected one of {', '.join(ORDERS)}")
+    check_choice("order of angles", order, ORDERS)
     i, j, k = ("xyz".index(axis) for axis in order)
     return i, j, k, 1.0 if (j - i) % 3 == 1 else -1.0
 
 
 def _radians_per(unit: AngleUnit | str) -> float:
-    if unit not in tuple(AngleUnit):
-        raise OptionError(f"unit of angles {str(unit)!r}; expected one of {', '.join(AngleUnit)}")
+    check_choice("unit of angles", unit, AngleUnit)
     return float(np.pi / 180.0) if unit == AngleUnit.DEGREES else 1.0
 
 

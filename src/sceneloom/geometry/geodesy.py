@@ -80,12 +80,6 @@ def geodetic_from_enu(positions_enu: ArrayLike, origin_lla: ArrayLike) -> Float6
     return geodetic_from_ecef(ecef_from_enu(positions_enu, origin_lla))
 
 
-def ned_from_enu(positions_enu: ArrayLike) -> Float64Array:
-    """Give north, east and down of what is east, north and up; the same exchange leads back."""
-    east, north, up = np.moveaxis(np.asarray(positions_enu, np.float64), -1, 0)
-    return np.stack([north, east, -up], axis=-1)
-
-
 def _enu_from_ecef(origin_lla: ArrayLike) -> Float64Array:
     """The rotation whose rows are the unit vectors east, north and up at a location."""
     latitude, longitude = np.radians(np.asarray(origin_lla, np.float64)[:2])

@@ -195,6 +195,16 @@ def quaternion_from_rotation_vector(rotation_vector: ArrayLike) -> Float64Array:
     return _with_positive_w(normalise_quaternion(quaternion))
 
 
+def matrix_from_rotation_vector(rotation_vector: ArrayLike) -> Float64Array:
+    """Give the (..., 3, 3) rotations about (..., 3) vectors by their length [rad]."""
+    return matrix_from_quaternion(quaternion_from_rotation_vector(rotation_vector))
+
+
+def rotation_vector_from_matrix(matrix: ArrayLike) -> Float64Array:
+    """Give the (..., 3) rotation vectors [rad] of (..., 3, 3) rotations, at most π long."""
+    return rotation_vector_from_quaternion(quaternion_from_matrix(matrix))
+
+
 def cross_matrix(vectors: ArrayLike) -> Float64Array:
     """Give the (..., 3, 3) matrices that take a vector w to v × w, for (..., 3) vectors v."""
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)

@@ -9,17 +9,12 @@ from numba import boolean, float32, int64, void
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array, finite_rows
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import DataError
-from sceneloom.geometry.rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
-)
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, nearest_rotation, rotation_vector_from_matrix
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, inlined
 from sceneloom.motion.clock.signals import Orientations
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Progress, reporting
 
 _LEAST_BEARINGS = 16  # fewer bearings do not determine a rotation
 _ROUNDS = 12
@@ -77,7 +72,7 @@ def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotati
         root = np.sqrt(weights)[:, None] / scales
         rows = np.vstack([(slopes * root[:, :, None]).reshape(-1, 9), _PRIOR])
         solution = np.linalg.lstsq(rows, np.append(parts * root, np.zeros(2)), rcond=1e-6)[0]
-        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(solution[:3])) @ rotation
+        rotation = matrix_from_rotation_vector(solution[:3]) @ rotation
         ahead = ahead + np.clip(solution[3:5], -0.3, 0.3) @ sideways
         ahead /= np.linalg.norm(ahead)
         amounts = amounts + solution[5:]
@@ -117,8 +112,7 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
     weights = np.ones(len(first))
     rotation = np.eye(3)
     for _ in range(_ROUNDS):
-        u, _, vt = np.linalg.svd(np.einsum("n,ni,nj->ij", weights, second, first))
-        rotation = (u * np.array([1.0, 1.0, np.linalg.det(u @ vt)])) @ vt
+        rotation, _ = nearest_rotation(np.einsum("n,ni,nj->ij", weights, second, first))
         distances = np.linalg.norm(second - first @ rotation.T, axis=1)
         scale = max(1.4826 * float(np.median(distances)), _FINEST)
         weights = (1.0 + (distances / (2.0 * scale)) ** 2) ** -2
@@ -128,7 +122,7 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
 def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
     """The share of each bearing in the rotation about the axis found, by the least squares' rows (2 N + 2, 9)."""
     # if a single bearing saw a larger rotation, the solution's rotation would grow by its share of that
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
+    vector = rotation_vector_from_matrix(rotation)
     axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
     normal = rows.T @ rows
     lengths = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -273,7 +267,7 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
     vectors = np.full((max(len(rows) - 1, 0), 3), np.nan)
     delays = np.zeros(len(rows))
     before: tuple[CameraImage, Pyramid] | None = None
-    for number, row in enumerate(rows.tolist()):
+    for number, row in enumerate(reporting(rows.tolist(), progress, len(rows))):
         seen = None
         try:
             image = camera.images[row]
@@ -285,8 +279,6 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
             delays[number - 1] = early if number == 1 else 0.5 * (delays[number - 1] + early)
             delays[number] = late
         before = seen
-        if progress is not None:
-            progress(number + 1, len(rows))
     timestamps = times[rows] + np.rint(delays * 1e9).astype(np.int64)
     return Orientations.of_steps(np.maximum.accumulate(timestamps), vectors)
 
@@ -310,7 +302,7 @@ def _rotation(
     rotated = rotation_between(rays_before[usable], rays_after[usable])
     if rotated is None:
         return unknown
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotated.rotation.T))
+    vector = rotation_vector_from_matrix(rotated.rotation.T)
     early = _delay(shutter, before[usable], rotated.influences, first_image)
     return vector, early, _delay(shutter, after[usable], rotated.influences, second_image)
 

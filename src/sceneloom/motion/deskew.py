@@ -1,7 +1,7 @@
 """Deskewing: each point by the pose at its own timestamp, and warnings about timestamps."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
@@ -13,7 +13,7 @@ from sceneloom.geometry.rigid import EXTRAPOLATED, OUT_OF_REACH, RigidTransform,
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.point_times import PointTimes, TimesFound
 from sceneloom.scene.poses import PoseSource
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, repaired, skipped
 
 
 def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array, bool]:
@@ -127,35 +127,35 @@ class BodyKnots:
 
 _UNTIMED = "{}; the points were taken as measured at the sweep's time, and their times were left out"
 
-_NOTES: Mapping[PointTimes, tuple[WarningKind, str, str]] = MappingProxyType(
+_NOTES: Mapping[PointTimes, tuple[Callable[..., DataWarning], str, str]] = MappingProxyType(
     {
         PointTimes.EQUAL: (
-            WarningKind.ASSUMED,
+            assumed,
             "times-of-points",
             _UNTIMED.format("all points of a sweep have one time, and it is not the sweep's own"),
         ),
         PointTimes.RELATIVE: (
-            WarningKind.ASSUMED,
+            assumed,
             "relative-point-times",
             "point times are near zero and the sweep's own is not; they were read as relative to the sweep's time",
         ),
         PointTimes.OTHER_CLOCK: (
-            WarningKind.ASSUMED,
+            assumed,
             "point-times-of-another-clock",
             "point times are not on the clock of their sweep's time; the first of them was taken to be that time",
         ),
         PointTimes.WRONG_UNIT: (
-            WarningKind.REPAIRED,
+            repaired,
             "unit-of-point-times",
             "point times are {factor} times too {size} for their sweep; they were read in the unit that fits{origin}",
         ),
         PointTimes.UNKNOWN: (
-            WarningKind.SKIPPED,
+            skipped,
             "unknown-point-times",
             _UNTIMED.format("point times fit neither the sweep's own time nor its period"),
         ),
     }
-)  # kind, code and message of the warning about each kind of times that is not taken as it is
+)  # which warning, its code and message, about each kind of times that is not taken as it is
 
 
 @dataclass(slots=True)
@@ -172,20 +172,17 @@ class PointTimesStatistics:
 
     def warnings(self, location: str = "sensors[].frames[].points.timestamps") -> tuple[DataWarning, ...]:
         """What was assumed, repaired or left out, each with the number of sweeps, or of stray points."""
-        notes = []
+        warnings = []
         for found, count in self.counts.items():
             if found.kind in _NOTES:
-                kind, code, template = _NOTES[found.kind]
+                warning, code, template = _NOTES[found.kind]
                 message = template.format(
                     factor=int(1 / found.factor if found.factor < 1 else found.factor),
                     size="small" if found.factor < 1 else "large",
                     origin=", relative to the sweep's time" if found.relative else "",
                 )
-                notes.append((kind, code, message, count))
+                warnings.append(warning(code, location, message, count=count))
         if self.stray_points:
             message = "times of single points are far from those of their sweep; the sweep's median was taken instead"
-            notes.append((WarningKind.REPAIRED, "stray-point-times", message, self.stray_points))
-        return tuple(
-            DataWarning(kind=kind, code=code, location=location, message=message, count=count)
-            for kind, code, message, count in notes
-        )
+            warnings.append(repaired("stray-point-times", location, message, count=self.stray_points))
+        return tuple(warnings)

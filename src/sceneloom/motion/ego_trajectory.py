@@ -15,7 +15,7 @@ from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, PointsFrame, Progress
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 IDENTITY, GNSS, LIDAR, IMU = "identity", "gnss", "lidar", "imu"
 RESERVED = (GNSS, LIDAR, IMU)
@@ -234,7 +234,7 @@ def _from_lidar(scene: Scene, progress: Progress | None, *, lenient: bool, by_de
     warnings: tuple[DataWarning, ...] = run.warnings
     if by_default:
         message = "no trajectory in it; the ego trajectory was estimated by lidar odometry (`--trajectory lidar`)"
-        warnings = (_warning(WarningKind.ASSUMED, "trajectory-from-lidar", scene.source, message), *warnings)
+        warnings = (assumed("trajectory-from-lidar", scene.source, message), *warnings)
     ego = replace(EgoMotion.of(run.trajectory), warnings=warnings)
     # begin at a recorded pose, where there is one, so that what is in its world stays right
     first_ns = ego.path.timestamps_ns[:1]
@@ -259,7 +259,7 @@ def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, 
             lidar, warnings = odometry.trajectory, odometry.warnings
         except PoseError as error:
             message = f"lidar odometry failed and was not used with the fixes: {error}"
-            warnings = (_warning(WarningKind.SKIPPED, "gnss-without-lidar", scene.source, message),)
+            warnings = (skipped("gnss-without-lidar", scene.source, message),)
     run = gnss_imu_motion(scene, lidar=lidar)
     if run.trajectory.quaternions_xyzw is None and heading is None:
         raise PoseError(
@@ -274,11 +274,7 @@ def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, 
             "misplaced"
         )
         location, count = f"{scene.source}: annotations", len(scene.annotations)
-        warnings = (*warnings, _warning(WarningKind.ASSUMED, "annotations-not-moved", location, message, count))
+        warnings = (*warnings, assumed("annotations-not-moved", location, message, count=count))
     latitude, longitude, height = run.origin_lla.tolist()
     ego = _oriented(run.trajectory, heading)
     return replace(ego, warnings=warnings, enu_origin_lla=(latitude, longitude, height))
-
-
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)

@@ -15,10 +15,12 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.geodesy import FLATTENING, SEMI_MAJOR_AXIS, ecef_from_geodetic, enu_from_geodetic
 from sceneloom.geometry.rigid import (
+    cross_matrix,
     matrix_from_quaternion,
+    matrix_from_rotation_vector,
+    nearest_rotation,
     quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
+    rotation_vector_from_matrix,
 )
 from sceneloom.kernels import imu_chain as kernels
 from sceneloom.kernels.imu_chain import (
@@ -39,7 +41,7 @@ from sceneloom.motion.imu import QUIET_FORCE, QUIET_RATE, WHITE, find_stationary
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, repaired, skipped
 
 NAME = "gnss"
 """Name of the trajectory."""
@@ -111,15 +113,6 @@ def _within(one: _OfStates, first: int, last: int) -> _OfStates:
     return replace(inside, knots=inside.knots - first)
 
 
-def _crossed(vectors: Float64Array) -> Float64Array:
-    """(F, 3, 3) matrices M with M w = w x v for (F, 3) vectors v."""
-    return np.asarray(np.cross(np.eye(3)[None], vectors[:, None]).swapaxes(1, 2), np.float64)
-
-
-def _rotation_matrices(vectors: Float64Array) -> Float64Array:
-    return matrix_from_quaternion(quaternion_from_rotation_vector(vectors))
-
-
 def _running_sums(values: Float64Array) -> Float64Array:
     """Sums (N + 1, K) of the first 0, 1, … N of (N, K) values."""
     return np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
@@ -129,10 +122,6 @@ def _resampled(wanted_ns: Int64Array, times_ns: Int64Array, values: Float64Array
     """Values (N, K) interpolated linearly at other times."""
     seconds, known = (wanted_ns - times_ns[0]) * 1e-9, (times_ns - times_ns[0]) * 1e-9
     return np.stack([np.interp(seconds, known, column) for column in values.T], axis=1)
-
-
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
 
 
 _NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21  # time over which the noise is averaged, and the least number of samples
@@ -336,7 +325,7 @@ class GnssFixes:
             if lost:
                 location = f"{scene.source}: sensors[{receiver.id}]"
                 message = "fixes that are invalid, repeat a timestamp or repeat the fix before were left out"
-                warnings.append(_warning(WarningKind.SKIPPED, "gnss-fixes-left-out", location, message, lost))
+                warnings.append(skipped("gnss-fixes-left-out", location, message, count=lost))
             locations = receiver.positions_lla[rows]
             across, up = receiver.accuracies[rows], receiver.vertical_accuracies[rows]
             reported, reported_up = (np.isfinite(sigma) & (sigma > 0) for sigma in (across, up))
@@ -356,7 +345,7 @@ class GnssFixes:
         if not near.all():
             message = f"fixes more than {_FARTHEST / 1000:.0f} km from the others were left out"
             lost = int((~near).sum())
-            warnings.append(_warning(WarningKind.SKIPPED, "gnss-fixes-elsewhere", scene.source, message, lost))
+            warnings.append(skipped("gnss-fixes-elsewhere", scene.source, message, count=lost))
         order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
         origin = locations[order[0]]
         sigmas, reported, levers, numbers = (column[order] for column in columns)
@@ -399,7 +388,7 @@ class GnssFixes:
                 samples, knots_ns, biases, times[rows], knots[rows], sloping=True
             )
             levers[rows] = np.einsum("nij,nj->ni", rotations, self.levers[rows]) + positions
-            by_rotation = rotations @ _crossed(self.levers[rows]) @ by_biases[:, DELTA_ROTATION]
+            by_rotation = rotations @ -cross_matrix(self.levers[rows]) @ by_biases[:, DELTA_ROTATION]
             slopes[rows] = by_biases[:, DELTA_POSITION] + by_rotation
             subtracted[rows] = biases[knots[rows]]
         falls = np.where(led, 0.5 * gravity * seconds**2, 0.0)
@@ -436,7 +425,7 @@ class Fixes:
         """(F, 3) variances of the antenna positions, from the states' orientations and covariances (K, 15, 15)."""
         rotated = rotations[self.knots]
         slopes = np.zeros((len(self), 3, SIZE))
-        slopes[:, :, ROTATION] = rotated @ _crossed(self.levers)
+        slopes[:, :, ROTATION] = rotated @ -cross_matrix(self.levers)
         slopes[:, :, POSITION] = np.eye(3)
         slopes[:, :, VELOCITY] = self.seconds[:, None, None] * np.eye(3)
         slopes[:, :, VELOCITY.stop :] = rotated @ self.slopes
@@ -587,7 +576,7 @@ class States:
     def stepped(self, step: Float64Array) -> "States":
         """The states after steps (K, 15) in the order of `kernels.imu_chain`."""
         return States(
-            self.rotations @ _rotation_matrices(step[:, ROTATION]),
+            self.rotations @ matrix_from_rotation_vector(step[:, ROTATION]),
             self.positions + step[:, POSITION],
             self.velocities + step[:, VELOCITY],
             self.biases + step[:, 9:],
@@ -793,18 +782,18 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     changes = np.einsum("nij,nj->ni", inertial.slopes, states.biases[:-1] - inertial.biases)
     before, inverse = states.rotations[:-1], np.swapaxes(states.rotations[:-1], 1, 2)
     relative = inverse @ states.rotations[1:]
-    predicted = inertial.rotations @ _rotation_matrices(changes[:, :3])
+    predicted = inertial.rotations @ matrix_from_rotation_vector(changes[:, :3])
     apart = np.swapaxes(predicted, 1, 2) @ relative
     down = np.array([0.0, 0.0, -chain.gravity])
     gain = np.diff(states.velocities, axis=0) - seconds * down
     distance = np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
     velocity, position = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, distance))
-    rotation = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    rotation = rotation_vector_from_matrix(apart)
     residuals = np.hstack([rotation, velocity - inertial.velocities, position - inertial.positions])
     residuals[:, 3:] -= changes[:, 3:]
     first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
     first[:, :3, ROTATION], second[:, :3, ROTATION] = -np.swapaxes(relative, 1, 2), np.eye(3)
-    first[:, 3:6, ROTATION], first[:, 6:9, ROTATION] = -_crossed(velocity), -_crossed(position)
+    first[:, 3:6, ROTATION], first[:, 6:9, ROTATION] = cross_matrix(velocity), cross_matrix(position)
     first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
     first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
     first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse
@@ -1136,8 +1125,7 @@ def _levelled(chain: Chain, states: States, rotations: Float64Array) -> Float64A
     of_fixes = (np.diff(states.velocities, axis=0) + seconds[:, None] * [0.0, 0.0, chain.gravity])[measured]
     span = np.floor(np.cumsum(seconds[measured]) / _SPAN).astype(np.int64)
     sums = [np.stack([np.bincount(span, column) for column in one.T], axis=1) for one in (of_imu, of_fixes)]
-    u, _, vt = np.linalg.svd(sums[1].T @ sums[0])
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, np.float64)
+    return nearest_rotation(sums[1].T @ sums[0])[0]
 
 
 def _about_up(angle: float) -> Float64Array:
@@ -1155,7 +1143,7 @@ def _extended(chain: Chain, coasting: States, known: States, edges: tuple[int, i
     biases[: first - earlier], biases[last - earlier :] = known.biases[0], known.biases[-1]
     inside = slice(earlier, later - 1)
     changes = np.einsum("nij,nj->ni", chain.inertial.slopes[inside, :3], biases[:-1] - chain.inertial.biases[inside])
-    between = chain.inertial.rotations[inside] @ _rotation_matrices(changes)
+    between = chain.inertial.rotations[inside] @ matrix_from_rotation_vector(changes)
     between[~chain.measured[inside]] = np.eye(3)
     for k in range(last - 1 - earlier, later - 1 - earlier):
         rotations[k + 1] = rotations[k] @ between[k]
@@ -1343,7 +1331,7 @@ def _added_covariances(lidar: Trajectory, knots_ns: Int64Array, knots: Int64Arra
     rows = np.clip(np.searchsorted(lidar.timestamps_ns, knots_ns), 0, len(lidar.timestamps_ns) - 1)
     known = lidar.covariances[rows]
     levers = np.tile(np.eye(6), (len(knots), 1, 1))
-    levers[:, 3:, :3] = _crossed(steps)
+    levers[:, 3:, :3] = -cross_matrix(steps)
     grown = known[knots + 1] - levers @ known[knots] @ np.swapaxes(levers, 1, 2)
     values, axes = np.linalg.eigh(0.5 * (grown + np.swapaxes(grown, 1, 2)))
     return np.asarray((axes * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2), np.float64)
@@ -1517,11 +1505,11 @@ def _motion_between(chain: Chain, states: States, samples: InertialSamples | Non
     rotations, positions, velocities = _led_on(chain, states, samples, times_ns, knots)
     ends = _led_on(chain, states, samples, chain.knots_ns[1:], np.arange(len(chain.measured)))
     apart = np.swapaxes(ends[0], 1, 2) @ states.rotations[1:]
-    error_rotation = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    error_rotation = rotation_vector_from_matrix(apart)
     error, error_speed = (states.positions[1:] - ends[1])[knots], (states.velocities[1:] - ends[2])[knots]
     length = chain.seconds[knots][:, None]
     share = np.asarray((times_ns - chain.knots_ns[knots]) * 1e-9, np.float64)[:, None] / length
-    rotations = rotations @ _rotation_matrices(share * error_rotation[knots])
+    rotations = rotations @ matrix_from_rotation_vector(share * error_rotation[knots])
     positions += share**2 * (3.0 - 2.0 * share) * error + share**2 * (share - 1.0) * length * error_speed
     velocities += 6.0 * share * (1.0 - share) * error / length + share * (3.0 * share - 2.0) * error_speed
     biases = states.biases[knots] + share * (states.biases[knots + 1] - states.biases[knots])
@@ -1846,11 +1834,11 @@ def _notes(
         f"the ego; estimated noise of the fixes {sigma[0]:.2f} m across, {sigma[2]:.2f} m in height; the world's axes "
         f"are east, north and up at the first fix, {latitude:.7f}, {longitude:.7f}, {height:.2f} m"
     )
-    yield _warning(WarningKind.ASSUMED, "trajectory-from-gnss", location, message)
+    yield assumed("trajectory-from-gnss", location, message)
     lost = int((~used).sum())
     if lost:
         message = f"{lost} of {len(used)} fixes left out, off the trajectory by more than the rest allows"
-        yield _warning(WarningKind.SKIPPED, "gnss-jumps", location, message, lost)
+        yield skipped("gnss-jumps", location, message, count=lost)
     across, _, up = np.sqrt(np.median(slow, axis=0))
     message = (
         f"all fixes may be off together by {across:.2f} m across and {up:.2f} m in height (one standard deviation), "
@@ -1863,17 +1851,17 @@ def _notes(
             ", unless the IMU contradicts them: compare their clocks (`sceneloom sync`), the IMU's units and axes, and "
             "the fixes' latitudes and longitudes"
         )
-    yield _warning(WarningKind.ASSUMED, "gnss-slow-errors", location, message)
+    yield assumed("gnss-slow-errors", location, message)
     if samples is not None and len(samples.gaps_ns):
         message = "the IMU has gaps; in them the motion was interpolated"
-        yield _warning(WarningKind.ASSUMED, "imu-gaps", location, message, len(samples.gaps_ns))
+        yield assumed("imu-gaps", location, message, count=len(samples.gaps_ns))
     if samples is not None and samples.left_out:
         message = "samples that are not finite, or not later than the one before, were left out"
-        yield _warning(WarningKind.REPAIRED, "imu-samples", location, message, samples.left_out)
+        yield repaired("imu-samples", location, message, count=samples.left_out)
     covariances = trajectory.covariances
     if samples is not None and covariances is not None and np.sqrt(covariances[:, 2, 2].min()) > _UNSURE_HEADING:
         message = (
             f"the ego moved too little to determine its heading, which is known to "
             f"{np.degrees(np.sqrt(covariances[:, 2, 2].min())):.0f} degrees at best; it was taken as that of the motion"
         )
-        yield _warning(WarningKind.ASSUMED, "heading-unknown", location, message)
+        yield assumed("heading-unknown", location, message)

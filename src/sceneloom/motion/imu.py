@@ -11,7 +11,7 @@ from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import assumed, repaired, skipped
 
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 """Streams of an IMU, in the words of the recording format."""
@@ -162,26 +162,21 @@ def imu_motion(scene: Scene) -> InertialMotion:
         stationary = find_stationary(times, values, force_times, forces)
     bias = None if stationary is None else stationary.rate
     gaps_ns = gaps_between(times)
-    warnings: list[DataWarning] = []
-
-    def warn(kind: WarningKind, code: str, message: str, count: int = 1) -> None:
-        warnings.append(DataWarning(kind=kind, code=code, location=location, message=message, count=count))
-
     message = "an IMU alone measures rotation, not speed: of the motion during a sweep only the rotation is corrected"
-    warn(WarningKind.ASSUMED, "rotation-only", message)
+    warnings = [assumed("rotation-only", location, message)]
     if stationary is None:
         message = "the ego was never seen to be stationary, so the gyroscope's bias is unknown and was not subtracted"
-        warn(WarningKind.ASSUMED, "gyroscope-bias-unknown", message)
+        warnings.append(assumed("gyroscope-bias-unknown", location, message))
     else:
         rate = ", ".join(f"{value:.5f}" for value in stationary.rate)
         message = f"stationary for {stationary.seconds:.1f} s; the mean rate then, {rate} rad/s, was subtracted as bias"
-        warn(WarningKind.REPAIRED, "gyroscope-bias", message)
+        warnings.append(repaired("gyroscope-bias", location, message))
     if left_out:
         message = "samples that are not finite, or not later than the one before, were left out"
-        warn(WarningKind.REPAIRED, "imu-samples", message, left_out)
+        warnings.append(repaired("imu-samples", location, message, count=left_out))
     if len(gaps_ns):
         message = f"at least {_MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
-        warn(WarningKind.SKIPPED, "imu-gaps", message, len(gaps_ns))
+        warnings.append(skipped("imu-gaps", location, message, count=len(gaps_ns)))
     rotations = integrate_rates(times, values if bias is None else values - bias)
     path = Poses(times, np.zeros((len(times), 3)), rotations)
     return InertialMotion(EgoMotion("imu", path, warnings=tuple(warnings)), gaps_ns, bias)

@@ -16,11 +16,10 @@ from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import (
     RigidTransform,
-    matrix_from_quaternion,
+    matrix_from_rotation_vector,
     multiply_quaternions,
     quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
+    rotation_vector_from_matrix,
     slerp,
 )
 from sceneloom.kernels.cache import kernel
@@ -33,7 +32,7 @@ from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import PointsFrame
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, repaired, skipped
 
 NAME = "lidar"
 """Name of the trajectory."""
@@ -94,7 +93,8 @@ class _MotionState:
         """Rotation and position at another time, at constant velocity and angular velocity in the ego frame."""
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         bend = 0.5 * dt * dt * np.cross(self.yaw_rate, self.velocity)
-        return _rotation_matrix(self.yaw_rate * dt) @ self.rotation, self.position + dt * self.velocity + bend
+        rotation = matrix_from_rotation_vector(self.yaw_rate * dt) @ self.rotation
+        return rotation, self.position + dt * self.velocity + bend
 
     def predicted(self, timestamp_ns: int, configuration: OdometryConfiguration) -> "_MotionState":
         """The state at a later time; accelerations add to its uncertainty."""
@@ -111,7 +111,7 @@ class _MotionState:
             gains = (value, 0.5 * dt * dt * size), (rate, dt * size)
             for (first, a), (second, b) in product(gains, gains):
                 noise[first, second] = a * b * np.eye(3)
-        velocity = _rotation_matrix(self.yaw_rate * dt) @ self.velocity
+        velocity = matrix_from_rotation_vector(self.yaw_rate * dt) @ self.velocity
         covariance = step @ self.covariance @ step.T + noise
         return _MotionState(timestamp_ns, rotation, position, self.yaw_rate, velocity, covariance)
 
@@ -119,7 +119,7 @@ class _MotionState:
         """The state after small changes, (12,)."""
         return replace(
             self,
-            rotation=_rotation_matrix(step[_ROTATION]) @ self.rotation,
+            rotation=matrix_from_rotation_vector(step[_ROTATION]) @ self.rotation,
             position=self.position + step[_SHIFT],
             yaw_rate=self.yaw_rate + step[_YAW_RATE],
             velocity=self.velocity + step[_VELOCITY],
@@ -127,7 +127,7 @@ class _MotionState:
 
     def minus(self, other: "_MotionState") -> Float64Array:
         """The changes, (12,), that lead from another state to this one."""
-        rotation = _rotation_vector(self.rotation @ other.rotation.T)
+        rotation = rotation_vector_from_matrix(self.rotation @ other.rotation.T)
         position, yaw_rate = self.position - other.position, self.yaw_rate - other.yaw_rate
         return np.concatenate([rotation, position, yaw_rate, self.velocity - other.velocity])
 
@@ -135,16 +135,6 @@ class _MotionState:
         """The state with its pose changed by a motion in the ego frame."""
         position = self.position + self.rotation @ translation
         return replace(self, rotation=self.rotation @ rotation, position=position)
-
-
-def _rotation_matrix(rotation_vector: Float64Array) -> Float64Array:
-    """The (3, 3) rotation about a (3,) vector by its length [rad]."""
-    return matrix_from_quaternion(quaternion_from_rotation_vector(rotation_vector))
-
-
-def _rotation_vector(rotation: Float64Array) -> Float64Array:
-    """The (3,) rotation vector of a (3, 3) rotation."""
-    return rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -613,7 +603,7 @@ def _motion_covariance(yaw_rate: float, speed: float) -> Float64Array:
 def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
     """The first state with the motion that leads to the second's pose; two sweeps skewed alike fit well, so no skew."""
     seconds = (second.timestamp_ns - first.timestamp_ns) * 1e-9
-    yaw_rate = _rotation_vector(second.rotation @ first.rotation.T) / seconds
+    yaw_rate = rotation_vector_from_matrix(second.rotation @ first.rotation.T) / seconds
     chord = (second.position - first.position) / seconds
     velocity = chord - 0.5 * seconds * np.cross(yaw_rate, chord)
     covariance = _motion_covariance(_GUESSED_ROTATION_RATE, _GUESSED_SPEED)
@@ -621,10 +611,6 @@ def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
 
 
 _SAME_PERIOD = 0.75  # sweeps that begin within this part of a period of one another belong together
-
-
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -681,7 +667,7 @@ class _Source:
         yield from self.statistics.warnings(f"{location}[].points.timestamps")
         for code, message in _SWEEP_NOTES.items():
             if self.counts[code]:
-                yield _warning(WarningKind.ASSUMED, code, location, message.format(count), self.counts[code])
+                yield assumed(code, location, message.format(count), count=self.counts[code])
 
 
 @dataclass(slots=True)
@@ -746,7 +732,7 @@ class SceneSweeps:
                 "the ego's motion during a sweep remains in its points and in the poses"
             )
             code = "odometry-without-point-times"
-            yield _warning(WarningKind.ASSUMED, code, self.scene.source, message, self.untimed)
+            yield assumed(code, self.scene.source, message, count=self.untimed)
 
 
 def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
@@ -769,15 +755,13 @@ def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
     if not mounted:
         mounted = [(raw[0], identity)]
         message = f"lidar {raw[0].id!r} has no mounting on the ego; the lidar was taken as the ego"
-        warnings.append(_warning(WarningKind.ASSUMED, "lidar-is-the-ego", f"sensors[{raw[0].id}]", message))
+        warnings.append(assumed("lidar-is-the-ego", f"sensors[{raw[0].id}]", message))
     used = {id(lidar) for lidar, _ in mounted}
     for lidar in lidars:
         if id(lidar) not in used:
             why = "its points are in world coordinates already" if lidar not in raw else "its mounting is unknown"
             message = f"lidar {lidar.id!r} was left out of the odometry: {why}"
-            warnings.append(
-                _warning(WarningKind.SKIPPED, "lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message)
-            )
+            warnings.append(skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
     return [_Source(lidar, mount, sweep_period_ns(lidar)) for lidar, mount in mounted]
 
 
@@ -791,11 +775,11 @@ def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[t
         location = f"sensors[{source.lidar.id}].frames"
         if (order != np.arange(len(order))).any():
             message = "sweeps were not in the order of their time; they were sorted"
-            warnings.append(_warning(WarningKind.REPAIRED, "sweeps-sorted", location, message))
+            warnings.append(repaired("sweeps-sorted", location, message))
         fresh = np.diff(timestamps[order], prepend=timestamps[order[0]] - 1) > 0
         if not fresh.all():
             message = "sweeps with the time of the one before were left out of the odometry"
-            warnings.append(_warning(WarningKind.SKIPPED, "sweeps-of-one-time", location, message, int((~fresh).sum())))
+            warnings.append(skipped("sweeps-of-one-time", location, message, count=int((~fresh).sum())))
         entries += [(int(timestamps[k]), number, int(k)) for k in order[fresh]]
     groups: list[list[tuple[int, int]]] = []
     start_ns, latest = 0, set[int]()
@@ -954,13 +938,13 @@ _NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
 def _notes(counts: Counter[Outcome], late: int, location: str) -> Iterator[DataWarning]:
     for outcome, (code, message) in _NOTES.items():
         if counts[outcome]:
-            yield _warning(WarningKind.ASSUMED, code, location, message, counts[outcome])
+            yield assumed(code, location, message, count=counts[outcome])
     if not counts[Outcome.FITTED]:
         message = "no two sweeps could be compared, so the motion is unknown; the ego was taken as stationary"
-        yield _warning(WarningKind.ASSUMED, "odometry-without-motion", location, message)
+        yield assumed("odometry-without-motion", location, message)
     if late:
         message = "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
-        yield _warning(WarningKind.SKIPPED, "odometry-late-sweep", location, message, late)
+        yield skipped("odometry-late-sweep", location, message, count=late)
 
 
 _SUPPORT = 0.25

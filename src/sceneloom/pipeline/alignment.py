@@ -13,22 +13,21 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.editing.move_world import FrameChange, annotations_to_world, moved_world, with_odometry
 from sceneloom.editing.references import ours_of
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations import LocalizationAdjustment, PlainAnnotation
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, camera_path, must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import PlainSensor
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.scene import Scene, Sensor, check_camera_models, frame_times, scene_period_ns
+from sceneloom.scene.samples import choose_ego
+from sceneloom.scene.scene import Posed, Scene, Sensor, check_camera_models, frame_times, scene_period_ns
 from sceneloom.scene.time_range import chosen_interval, cut_scene
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress
 from sceneloom.stages import stage
-
-_POSED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +125,7 @@ def align(
     scene = annotations_to_world(scene, trajectory=trajectory, heading=heading)
     part = cut_scene(scene, start=start, stop=stop)
     if not needs_ego(scene):
-        if trajectory is not None:
-            raise OptionError(
-                f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
-            )
-        return Aligned(part, None, np.zeros(3))
+        return Aligned(part, choose_ego(scene, trajectory), np.zeros(3))  # none, and a named one is refused
     if is_computed(scene, trajectory):
         with stage("finding the trajectory"):
             ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)
@@ -151,7 +146,7 @@ def align(
 def _check_order(scene: Scene) -> None:
     """Refuse times that run backwards: what is paired and what is cut off depends on their order."""
     for sensor in scene.sensors:
-        if not isinstance(sensor, _POSED):
+        if not isinstance(sensor, Posed):
             continue
         times = frame_times(sensor)
         backwards = np.flatnonzero(times[1:] < times[:-1])

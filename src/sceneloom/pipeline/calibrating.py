@@ -8,30 +8,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray
-from sceneloom.calibrate.checkerboard import Board, board_views, start_from_target
+from sceneloom.arrays import Float64Array, FloatArray, spread_rows
 from sceneloom.calibrate.extrinsics import MountingEstimate, step_between
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames, chosen_camera, chosen_lidar
 from sceneloom.calibrate.health import MOTION, CalibrationHealth, Item, check_frames, judge_motion
-from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
-from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.measures import Change, Parameter, extract
 from sceneloom.calibrate.refinement import DEFAULT, RefinementVerdict, refine
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
-from sceneloom.db34t.json import format_json
-from sceneloom.db34t.setting import DeclaredAxes, calibration_data
-from sceneloom.detections.residuals import BoxResiduals, BoxRotation
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.output import check_output, filling, replacing
 from sceneloom.formats.base.registry import format_for_output
-from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, KittiTracking, open_tracking
 from sceneloom.geometry.rigid import (
     OUT_OF_REACH,
     RigidTransform,
@@ -42,8 +35,6 @@ from sceneloom.geometry.rigid import (
 )
 from sceneloom.motion.camera_rotation import camera_rotation
 from sceneloom.motion.ego_trajectory import LIDAR, find_ego_motion
-from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
-from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive
 from sceneloom.scene.annotations import CameraCalibration
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
@@ -52,9 +43,13 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Progress
-from sceneloom.visualization.canvas import PilImage, draw_discs, seconds_text
-from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
-from sceneloom.visualization.fused_frames import save_image, subdued
+
+# what some of the jobs alone need is imported by these: it is half of all modules
+if TYPE_CHECKING:
+    from sceneloom.detections.results import BoxRotation
+    from sceneloom.formats.kitti.tracking_reader import KittiTracking
+    from sceneloom.pipeline.detected_drive import DetectedDrive
+    from sceneloom.visualization.canvas import PilImage
 
 _MOST_DRAWN = 3  # frames that are drawn, evenly spread
 _MOST_ROTATIONS = 100  # so many images rotation is estimated from at most
@@ -111,6 +106,8 @@ def check_drive(
     camera, lidar = frames[0].camera_id, frames[0].lidar_id
     drive = None
     if boxes_3d:
+        from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive
+
         named = () if camera_id is None else (camera,)
         files = DetectionFiles(boxes_3d=boxes_3d, boxes_2d=boxes_2d, lidar=lidar, cameras=named)
         drive = _within(scene_drive(scene, files, lenient=lenient), part, camera)
@@ -157,7 +154,7 @@ def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
 
 
 def check_sequences(
-    tracking: KittiTracking, sequences: Sequence[str] = (), *, most: int = MOST
+    tracking: "KittiTracking", sequences: Sequence[str] = (), *, most: int = MOST
 ) -> list[CalibrationHealth]:
     """Check the calibration of sequences laid out like KITTI's tracking benchmark.
 
@@ -167,6 +164,9 @@ def check_sequences(
     Raises:
         DataError: a file is faulty, or a sequence is not there.
     """
+    from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, open_tracking
+    from sceneloom.pipeline.detected_drive import kitti_drive
+
     found = []
     for name in tracking.chosen(sequences):
         drive = kitti_drive(tracking.sequence(name))
@@ -190,8 +190,11 @@ def check_sequences(
     return found
 
 
-def _rotation_of_boxes(drive: DetectedDrive, camera_id: Identifier) -> BoxRotation | None:
+def _rotation_of_boxes(drive: "DetectedDrive", camera_id: Identifier) -> "BoxRotation | None":
     """The rotation by which boxes of a camera's images and of sweeps agree best; None where hardly any match."""
+    from sceneloom.detections.residuals import BoxResiduals
+    from sceneloom.pipeline.detected_drive import moments
+
     if camera_id not in drive.cameras:
         return None
     pairs = [moment.pairs[camera_id] for moment in moments(drive) if camera_id in moment.pairs]
@@ -201,7 +204,7 @@ def _rotation_of_boxes(drive: DetectedDrive, camera_id: Identifier) -> BoxRotati
     return residuals.rotation()
 
 
-def _within(drive: DetectedDrive, part: Scene, camera_id: Identifier) -> DetectedDrive:
+def _within(drive: "DetectedDrive", part: Scene, camera_id: Identifier) -> "DetectedDrive":
     """The drive with the boxes of those images alone that are in a part of the scene."""
     camera = next(camera for camera in part.cameras if camera.id == camera_id)
     times = camera.images.timestamps_ns
@@ -217,14 +220,16 @@ def _save_images(
     frames: Sequence[CalibrationFrame], best: Change, folder: Path, *, overwrite: bool = False
 ) -> list[Path]:
     """Draw frames as stated, `points_<number>.png` and `edges_<number>.png`, and `…_best.png` if another is best."""
-    rows = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_DRAWN, len(frames))).astype(int)).tolist()
+    from sceneloom.visualization.fused_frames import save_image
+
+    rows = spread_rows(len(frames), _MOST_DRAWN, nearest=False).tolist()
     changes = {"": Change()}
     if any(best.numbers):
         changes["_best"] = best
     written = []
     with filling(folder, overwrite=overwrite) as drafts:
         for frame in (frames[row] for row in rows):
-            edges = extract(frame).edge_points
+            edges = extract(frame, frame.camera).edge_points
             for suffix, change in changes.items():
                 under = "best" if suffix else "stated"
                 for name, points in (("points", frame.points_lidar), ("edges", edges)):
@@ -234,8 +239,12 @@ def _save_images(
     return [folder / name for name in written]
 
 
-def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str) -> PilImage:
+def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str) -> "PilImage":
     """Draw points (N, 3) [m], lidar frame at the image's time, by a candidate calibration, coloured by range."""
+    from sceneloom.visualization.canvas import draw_discs, seconds_text
+    from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
+    from sceneloom.visualization.fused_frames import subdued
+
     matrix = change.camera_from_points(frame)
     points_camera = points_lidar @ matrix[:3, :3].T + matrix[:3, 3]
     camera, focal = frame.camera, float(np.exp(change.numbers[Parameter.FOCAL]))
@@ -355,6 +364,9 @@ def _with_repair(scene: Scene, repair: Repair) -> Scene:
 
 
 def _table_3(repair: Repair) -> str:
+    from sceneloom.db34t.json import format_json
+    from sceneloom.db34t.setting import DeclaredAxes, calibration_data
+
     if repair.camera is None:
         raise OptionError("table 3 holds the calibration of a camera and a lidar; there is no camera in this one")
     axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
@@ -493,6 +505,8 @@ def mount_lidar(
         OptionError, PoseError, DataError: as `lidar_to_ego` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
+    from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
+
     output, scene = _Output(target, form, overwrite), scene.corrected()
     result = lidar_to_ego(scene, lidar, trajectory=trajectory, progress=progress)
     mounting = result.found.mounting
@@ -523,6 +537,8 @@ def align_lidars(
         OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
+    from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
+
     output, scene = _Output(target, form, overwrite), scene.corrected()
     result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
     ids = str(result.first_id), str(result.second_id)
@@ -552,6 +568,8 @@ def calibrate_by_target(
         OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
+    from sceneloom.calibrate.checkerboard import Board, board_views, start_from_target
+
     output, scene = _Output(target, form, overwrite), scene.corrected()
     wanted = Board.parse(board)
     views = list(board_views(scene, wanted, camera, lidar, most=most, progress=progress))

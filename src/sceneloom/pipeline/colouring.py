@@ -26,7 +26,6 @@ from sceneloom.colouring.moving_points import MovingBoxes, MovingPoints, lags_fo
 from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.colouring.world_map import WorldMap, empty_points
-from sceneloom.editing.references import assumed
 from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import check_regular, read_bytes
@@ -60,7 +59,7 @@ from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed
 
 _SCENE_SUFFIX = ".sfs"
 

@@ -22,7 +22,7 @@ from sceneloom.pipeline.outputs import DepthFolder
 from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, telling
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Identifier, Progress, key_of
+from sceneloom.scene.types import Identifier, Progress, key_of, reporting
 from sceneloom.visualization.canvas import counting_left_out, leave_out
 from sceneloom.visualization.fused_frames import draw_dense_depth, save_image
 from sceneloom.warnings import DataWarning
@@ -157,7 +157,7 @@ def write_depth_images(
         depth = DepthFolder(stack.enter_context(filling(location, overwrite=overwrite)), aligned.scene, form)
         look = None if drawn is None else stack.enter_context(filling(drawn, overwrite=overwrite))
         writer = _Writer(depth, confidence, look, {camera.id: [0, 0.0, 0.0] for camera in aligned.scene.cameras})
-        for done, frame in enumerate(play(aligned.scene, system, skips), start=1):
+        for frame in reporting(play(aligned.scene, system, skips), progress, total):
             leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:
                 unfused[frame.unfused] += 1
@@ -167,8 +167,6 @@ def write_depth_images(
                 else:
                     dense = complete_depth(view)
                 writer.add(frame, view, dense)
-            if progress is not None:
-                progress(done, total)
         check_any_placed(aligned.scene, unfused, total)
     return DepthReport(
         source=scene.source,

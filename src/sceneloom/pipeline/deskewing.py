@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array
+from sceneloom.arrays import Float32Array, Int64Array, spread_rows
 from sceneloom.editing.references import ours_of, with_ours
-from sceneloom.errors import DataError, OptionError, PoseError
+from sceneloom.errors import DataError, OptionError, PoseError, check_choice
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
 from sceneloom.motion.deskew import BodyKnots, PointTimesStatistics
@@ -169,7 +169,7 @@ def _typical_offset_ns(frames: LazyFrames[LidarFrame], period_ns: int, at: str) 
     """Median time [ns] from a sweep's timestamp to one of its `_MOMENTS`, by a few sweeps; 0 without point times."""
     # one offset for all keeps their moments as even as their timestamps are, and known without reading them
     offsets = []
-    for k in np.unique(np.linspace(0, len(frames) - 1, min(_SAMPLED_SWEEPS, len(frames))).astype(int)).tolist():
+    for k in spread_rows(len(frames), _SAMPLED_SWEEPS, nearest=False).tolist():
         try:
             frame, previous = frames[k], frames[k - 1] if k else None
         except DataError:
@@ -319,8 +319,7 @@ def _plan_deskew(
     progress: Progress | None = None,
 ) -> _DeskewPlan:
     """Choose lidars, part and trajectory; the arguments are those of `deskew`."""
-    if at not in _MOMENTS:
-        raise OptionError(f"at {at!r}; expected one of {', '.join(_MOMENTS)}")
+    check_choice("at", at, _MOMENTS)
     scene = scene.corrected()
     _chosen_lidars(scene, lidar)
     part = cut_scene(scene, start=start, stop=stop)

@@ -13,10 +13,9 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.detectors import detector_names
-from sceneloom.detections.residuals import BoxFrame, BoxResiduals
-from sceneloom.detections.results import DetectionPair
+from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.detections.results import BoxFrame, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.editing.references import assumed
 from sceneloom.errors import PoseError
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -27,7 +26,7 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +67,9 @@ class SweepPoints:
         positions = self.lidar.frames[row].points.positions
         if self.lidar.points_frame is PointsFrame.SENSOR:
             return np.ascontiguousarray(positions)
-        pose = self.source.at(np.array([time_ns], np.int64))
-        if not np.isfinite(pose.positions).all():
+        world_from_lidar = self.source.pose_at(time_ns)
+        if world_from_lidar is None:
             raise PoseError(f"it is not known where lidar {self.lidar.id!r} was at {time_ns} ns")
-        world_from_lidar = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
         return world_from_lidar.inverse().apply(positions).astype(np.float32)
 
 
@@ -105,7 +103,6 @@ class DetectedDrive:
         period_ns: the usual time from sweep to sweep [ns].
         detectors: name of what is known of such detectors, for those who state none; None for the usual one.
         stated_in: the frames in which the lists have the boxes of sweeps.
-        trajectory_known: whether the ego trajectory is known; else the world is the ego's frame.
         points: of the sweeps, by which what images alone show is placed; None where there are none.
     """
 
@@ -118,7 +115,6 @@ class DetectedDrive:
     period_ns: int = PERIOD_NS
     detectors: str | None = None
     stated_in: frozenset[BoxFrame] = frozenset({BoxFrame.LIDAR})
-    trajectory_known: bool = True
     points: SweepPoints | None = None
     warnings: tuple[DataWarning, ...] = field(default=())
 
@@ -281,7 +277,6 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     """
     path, ego_from_lidar = Poses.identity(), RigidTransform.identity()
     warnings = list(sequence.warnings)
-    known = sequence.world_from_ego is not None and sequence.lidar_from_imu is not None
     if sequence.world_from_ego is not None and sequence.lidar_from_imu is not None:
         path, ego_from_lidar = sequence.world_from_ego, sequence.lidar_from_imu.inverse()
     else:
@@ -308,7 +303,6 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         period_ns=PERIOD_NS,
         detectors=detectors,
         stated_in=frozenset({BoxFrame.CAMERA}),
-        trajectory_known=known,
         warnings=tuple(warnings),
     )
 

@@ -17,7 +17,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.db34t.json import from_json
 from sceneloom.db34t.records import RECORD_KINDS, Box2d, Box3d, Boxes2d, Boxes3d, join_boxes
 from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
-from sceneloom.detections.residuals import BoxFrame
+from sceneloom.detections.results import BoxFrame
 from sceneloom.editing.crop import crop_scene
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger

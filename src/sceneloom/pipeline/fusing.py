@@ -13,7 +13,6 @@ import numpy as np
 
 from sceneloom.arrays import finite_rows
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.editing.references import assumed, skipped
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, filling
@@ -38,7 +37,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.stages import stage, timed
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 
 class CameraReport(msgspec.Struct, frozen=True, kw_only=True):

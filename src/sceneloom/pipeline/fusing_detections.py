@@ -50,7 +50,7 @@ from sceneloom.pipeline.detection_lists import DetectionInput
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import usual_period_ns
-from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.types import Identifier, Progress, reporting
 from sceneloom.tracking.tracker import Observation, View
 from sceneloom.warnings import DataWarning
 
@@ -184,9 +184,7 @@ def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
     return streams
 
 
-def _detections_record(
-    frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int, lidar_number: int = 0
-) -> FusedDetections:
+def _detections_record(frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int) -> FusedDetections:
     """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them."""
     fused = frame.fused
     columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
@@ -198,7 +196,7 @@ def _detections_record(
         image_seq=int(frame.image_extras["seq"]),
         points_seq=frame.index,
         camera_id=camera_number,
-        lidar_id=lidar_number,
+        lidar_id=0,
         id=fused.ids.astype(np.int32),
         class_names=fused.labels,
         box_3d_ids=box_ids[0],
@@ -369,7 +367,7 @@ def _fuse_sequences(
         raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
     names, reports = tracking.chosen(sequences), list[_FusedDriveReport]()
     with filling(output, overwrite=overwrite) as folder:
-        for k, name in enumerate(names):
+        for name in reporting(names, progress, len(names)):
             sequence = tracking.sequence(name)
             drive = kitti_drive(sequence)
             if form == "kitti":
@@ -379,8 +377,6 @@ def _fuse_sequences(
             else:
                 draft = folder / f"{name}.jsonl"
                 reports.append(_fuse_into(drive, draft, _side_file(draft), output / draft.name, fuse))
-            if progress is not None:
-                progress(k + 1, len(names))
     return reports
 
 

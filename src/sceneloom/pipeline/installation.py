@@ -105,14 +105,14 @@ class _Package:
     problem: str | None  # why it cannot be used; None where it can, as far as that was looked at
 
 
-def find_packages(distribution: str = "sceneloom") -> tuple[_Package, ...]:
-    """Look for all packages that a distribution asks for; those that it needs are imported.
+def find_packages() -> tuple[_Package, ...]:
+    """Look for all packages that this one asks for; those that it needs are imported.
 
     Raises:
-        PackageNotFoundError: the distribution itself is not installed.
+        PackageNotFoundError: this package itself is not installed.
     """
     found = []
-    for match in filter(None, map(_REQUIREMENT.match, requires(distribution) or [])):
+    for match in filter(None, map(_REQUIREMENT.match, requires("sceneloom") or [])):
         extra, least = _EXTRA.search(match["marker"] or ""), _LEAST.search(match["bounds"])
         if extra is None or extra["extra"] not in _NOT_FOR_USERS:
             found.append(_examined(match["name"], least and least["least"], extra and extra["extra"]))

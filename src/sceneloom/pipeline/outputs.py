@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float32Array
+from sceneloom.arrays import Float32Array, spread_rows
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError
 from sceneloom.formats.base.images import write_depth_image
@@ -133,7 +133,7 @@ class ImageSink:
         count = max((len(lidar.frames) for lidar in aligned.scene.lidars), default=0)
 
         def spread(most: int) -> frozenset[int]:
-            return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
+            return frozenset(spread_rows(count, most, nearest=False).tolist())
 
         chosen = spread(_IMAGES_PER_DRIVE) if every is None else frozenset(range(0, count, every))
         path = None if aligned.ego is None else aligned.ego.path

@@ -17,7 +17,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, lidar_position, points_source, sensor_source
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 
 def check_has_lidar(scene: Scene, needing: str) -> None:
@@ -63,10 +63,7 @@ def telling(skips: Skips) -> Iterator[None]:
     try:
         yield
     except SceneloomError as error:
-        kind = WarningKind.SKIPPED
-        error.remember(
-            tuple(DataWarning(kind=kind, code="frame-unreadable", location="", message=m) for m in skips.reasons)
-        )
+        error.remember(tuple(skipped("frame-unreadable", "", reason) for reason in skips.reasons))
         raise
 
 

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
-from sceneloom.editing.references import assumed, skipped, with_warnings, without, without_fields
-from sceneloom.errors import DataError, OptionError
+from sceneloom.editing.references import with_warnings, without, without_fields
+from sceneloom.errors import DataError, OptionError, check_choice
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import PNG_START, encode_png
 from sceneloom.formats.base.losses import Loss, LossReport, Support
@@ -33,7 +33,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,9 +258,8 @@ def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur") -> UInt8
     Raises:
         OptionError: there is no such fill.
     """
-    paint = _FILLS.get(fill)
-    if paint is None:
-        raise OptionError(f"fill {fill!r}; expected one of {', '.join(_FILLS)}")
+    check_choice("fill", fill, _FILLS)
+    paint = _FILLS[fill]
     hidden = np.array(image, np.uint8)
     for left, top, right, bottom in boxes.tolist():
         region = hidden[top:bottom, left:right]
@@ -342,8 +341,7 @@ def hide_in_images(
     Raises:
         OptionError: there is no such fill, or nothing is hidden anywhere.
     """
-    if fill not in _FILLS:
-        raise OptionError(f"fill {fill!r}; expected one of {', '.join(_FILLS)}")
+    check_choice("fill", fill, _FILLS)
     regions = _regions_of(scene, hidings, margin=margin)
     if not any(one.pixels for one in regions.values()):
         given = sum(hiding.given for hiding in hidings)
@@ -779,17 +777,17 @@ _SCAN, _STOP, _RESTARTS = 0xDA, 0xD9, range(0xD0, 0xD8)
 _ADOBE, _PROFILE = 0xEE, 0xE2
 
 
-def _stripped(content: bytes, *, name: str = "image") -> tuple[bytes, tuple[str, ...]]:
+def _stripped(content: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Give a JPEG or PNG file without anything that its pixels do not need, and what was left out ("APP1", "eXIf", …).
 
     Source: ITU-T T.81, annex B; PNG, 3rd edition, 5.3.
     """
     if content.startswith(PNG_START):
-        parts = _png_parts(content, name)
+        parts = _png_parts(content)
     elif content.startswith(_JPEG_START):
-        parts = _jpeg_parts(content, name)
+        parts = _jpeg_parts(content)
     else:
-        raise DataError(name, "", "is neither JPEG nor PNG, so what it says of itself cannot be left out")
+        raise DataError("image", "", "is neither JPEG nor PNG, so what it says of itself cannot be left out")
     kept, left_out = [], []
     for part, called in parts:
         if called:
@@ -799,7 +797,7 @@ def _stripped(content: bytes, *, name: str = "image") -> tuple[bytes, tuple[str,
     return b"".join(kept), tuple(left_out)
 
 
-def _png_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
+def _png_parts(content: bytes) -> Iterator[tuple[bytes, str]]:
     """The parts of a file, each with its name if it is to be left out."""
     yield PNG_START, ""
     position = len(PNG_START)
@@ -808,18 +806,18 @@ def _png_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
         kind = content[position + 4 : position + 8]
         stop = position + 12 + length
         if stop > len(content) or len(kind) < 4:
-            raise DataError(name, f"byte {position}", "the file ends within a part of it")
+            raise DataError("image", f"byte {position}", "the file ends within a part of it")
         yield content[position:stop], "" if kind in _KEPT_CHUNKS else kind.decode("latin-1")
         position = stop
         if kind == b"IEND":
             break
     else:
-        raise DataError(name, "", "the file has no end")
+        raise DataError("image", "", "the file has no end")
     if position < len(content):
         yield content[position:], "after the end"
 
 
-def _jpeg_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
+def _jpeg_parts(content: bytes) -> Iterator[tuple[bytes, str]]:
     """The segments of a file, each with its name if it is to be left out."""
     yield content[:2], ""
     position = 2
@@ -830,14 +828,14 @@ def _jpeg_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
             # broken off after the image's data: decoders show it
             return
         if content[position] != 0xFF:
-            raise DataError(name, f"byte {position}", f"{content[position]:#04x}; expected a marker")
+            raise DataError("image", f"byte {position}", f"{content[position]:#04x}; expected a marker")
         marker = content[position + 1]
         if marker == _STOP:
             yield content[position : position + 2], ""
             break
         stop = position + 2 + int.from_bytes(content[position + 2 : position + 4])
         if stop > len(content) or stop < position + 4:
-            raise DataError(name, f"byte {position}", "the file ends within a segment")
+            raise DataError("image", f"byte {position}", "the file ends within a segment")
         yield content[position:stop], _segment_name(marker, content[position + 4 : stop])
         position = stop
         if marker == _SCAN:

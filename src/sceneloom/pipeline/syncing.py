@@ -16,7 +16,7 @@ from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, TOLERANCE_N
 from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, repaired
 
 _RANKS = (StreamKind.IMU, StreamKind.TRAJECTORY, StreamKind.LIDAR, StreamKind.CAMERA, StreamKind.GNSS)
 """Which kind of stream is taken for the reference before others."""
@@ -270,4 +270,4 @@ def _warning(correction: AppliedCorrection, reference: str | None) -> DataWarnin
     message = f"its times were moved by {-correction.offset_ns / 1e6:+.3f} ms against {reference!r}" + (
         f", its clock slowed by {correction.skew_ppm:.1f} ppm" if correction.skew_ppm else ""
     )
-    return DataWarning(kind=WarningKind.REPAIRED, code="clock-corrected", location=correction.stream, message=message)
+    return repaired("clock-corrected", correction.stream, message)

@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import FINE, box_extents
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, file_stem, filling, replacing
 from sceneloom.formats.base.registry import write_scene
@@ -106,8 +106,7 @@ class TrackOutputs:
             raise OptionError(
                 f"{output}: suffix {output.suffix!r} belongs to no form of tracks; expected one of: {known}"
             )
-        if form not in _FORMS:
-            raise OptionError(f"format {form!r}; expected one of {', '.join(_FORMS)}")
+        check_choice("format", form, _FORMS)
         if self.scene_options and form != "sfs":
             flags = " and ".join(f"--{name.replace('_', '-')}" for name in self.scene_options)
             raise OptionError(f"{flags}: only of scenes, but {form!r} is written; it needs --format sfs")
@@ -527,11 +526,10 @@ def save_tracking_images(
         OutputError: a file cannot be written.
         DataError: a sweep or image cannot be read.
     """
-    rows = np.unique(np.linspace(0, len(moments) - 1, min(count, len(moments))).round().astype(np.int64))
     folder.mkdir(parents=True, exist_ok=True)
     return [
         save_image(image, folder / name, overwrite=True)
-        for row in rows.tolist()
+        for row in spread_rows(len(moments), count).tolist()
         for name, image in _drawn(scene, drive, moments, row)
     ]
 

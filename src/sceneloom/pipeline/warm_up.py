@@ -90,15 +90,15 @@ def compiling_for_demo() -> Iterator[Callable[[], None]]:
         yield partial(wait, simulating)
 
 
-def compile_for_boxes(job: str, models: Iterable[str] = ("pinhole",)) -> None:
+def compile_for_boxes(job: str) -> None:
     """Compile the kernels that are not kept yet and that fusing detections needs.
 
     Args:
         job: `detections`, or `track`.
-        models: of the cameras; KITTI's are pinholes.
     """
+    # of cameras those of KITTI, which are pinholes
     own = _OF_BOXES[job]
-    compile_ahead([own[0], *_of_cameras(models, "project_points unproject_pixels"), *own[1:]])
+    compile_ahead([own[0], *_of_cameras(["pinhole"], "project_points unproject_pixels"), *own[1:]])
 
 
 def _of_cameras(models: Iterable[str], kernels: str) -> list[str]:

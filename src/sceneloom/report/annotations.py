@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.colouring.cuboid_projection import count_points, observe_cuboids
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import (
@@ -26,15 +26,14 @@ from sceneloom.report.content import (
     line_plot,
     pair_columns,
     percent,
-    several,
     text_column,
 )
-from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.samples import Sample
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.visualization.annotations import draw_annotations_above, draw_annotations_in_image
+from sceneloom.visualization.canvas import several
 
 _MOMENTS = 12  # moments at which boxes are looked at, at most
 _RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)

@@ -82,11 +82,6 @@ def count(value: float | None) -> str:
     return NOTHING if value is None else f"{value:,.0f}"
 
 
-def several(value: int, noun: str) -> str:
-    """A count with its noun."""
-    return f"{value:,} {noun}" if value == 1 else f"{value:,} {noun}s"
-
-
 def fixed(value: float | None, digits: int, unit: str = "") -> str:
     """A number with so many digits behind the point, and its unit."""
     if value is None:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray, Int64Array
+from sceneloom.arrays import Float64Array, FloatArray, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
@@ -38,15 +38,6 @@ from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.samples import choose_ego, frame_of_points, locations_of, poses_at
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
-
-
-def spread_rows(count: int, most: int) -> Int64Array:
-    """At most so many row numbers out of `count`, evenly spread, the first and the last among them."""
-    if count < 1:
-        return np.zeros(0, np.int64)
-    rows: Int64Array = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
-    return rows
-
 
 RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)
 """Borders of the ranges that points are counted by [m]; farther ones are counted by themselves."""

@@ -32,7 +32,6 @@ from sceneloom.report.content import (
     counted,
     fixed,
     pair_columns,
-    several,
     text_column,
 )
 from sceneloom.report.coverage import Coverage
@@ -43,6 +42,7 @@ from sceneloom.scene.contents import Counting
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.version import __version__
+from sceneloom.visualization.canvas import several
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 MOST_HASHED = 1_000_000_000

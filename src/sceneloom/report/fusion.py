@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import spread_rows
 from sceneloom.calibrate.health import Item, Verdict, check_calibration
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import SceneloomError
@@ -12,13 +13,13 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play, report_of
-from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, several, text_column
-from sceneloom.report.coverage import spread_rows
+from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, text_column
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
+from sceneloom.visualization.canvas import several
 from sceneloom.visualization.fused_frames import DriveCloud, iter_images
 
 _FRAMES = 6  # images of each camera that are looked at; `sceneloom calibrate --check` takes more

@@ -21,7 +21,6 @@ from sceneloom.report.content import (
     draw_svg,
     fixed,
     percent,
-    several,
     short,
     text_column,
 )
@@ -31,6 +30,7 @@ from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.summary import GAP_FACTOR, Gap
 from sceneloom.scene.types import Identifier
+from sceneloom.visualization.canvas import several
 
 _MOST_GAPS = 20  # gaps of a stream that are reported one by one: the longest
 _MOST_STREAMS, _MOST_PLOTS = 40, 12  # so many streams and histograms of intervals are drawn

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError, SceneloomError
 from sceneloom.evaluate.tracking import TrackingReport, compare_tracks
 from sceneloom.evaluate.trajectory import TrajectoryReport, evaluate_trajectory
@@ -413,14 +413,14 @@ def _rotated(quaternions_xyzw: Float64Array) -> float:
     matrices = matrix_from_quaternion(quaternions_xyzw)
     axis = int(np.argmin(np.abs(matrices[:, 2]).mean(axis=0)))
     headings = np.unwrap(np.arctan2(matrices[:, 1, axis], matrices[:, 0, axis]))
-    thinned = headings[np.unique(np.linspace(0, len(headings) - 1, min(len(headings), MOST_CORNERS)).astype(int))]
+    thinned = headings[spread_rows(len(headings), MOST_CORNERS, nearest=False)]
     rotations = np.degrees(np.abs(np.diff(thinned)))
     return float(rotations[rotations > 0.05].sum())
 
 
 def _fixes(receiver: GnssSensor, origin_lla: Float64Array, start_ns: int) -> Fixes:
     rows, lla = usable_positions(receiver)
-    shown = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_CORNERS)).astype(int))
+    shown = spread_rows(len(rows), MOST_CORNERS, nearest=False)
     enu = enu_from_geodetic(lla[shown], origin_lla)
     seconds = (receiver.timestamps_ns[rows[shown]] - start_ns) / 1e9
     stated = receiver.accuracies[rows]

@@ -39,7 +39,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarF
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Poses
-from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.scene import Posed, Scene, Sensor, frames_of
 from sceneloom.scene.types import Identifier, Key, key_of
 
 _Words = dict[str, str]  # what fields are, for a person, by their names
@@ -303,7 +303,7 @@ def watched(scene: Scene, reported: _Reported) -> Scene:
     """Give the same scene, which reports each sweep, radar cycle, image and depth image when it is read."""
 
     def watched_sensor(sensor: Any) -> Sensor:
-        if not isinstance(sensor, _FramedSensor):
+        if not isinstance(sensor, Posed):
             return sensor  # type: ignore[no-any-return]
         frames = frames_of(sensor)
         seen: Any = LazyFrames(frames.timestamps_ns, partial(_read_and_report, frames, sensor.id, reported))
@@ -322,13 +322,6 @@ _WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)  # classes
 
 _IMAGES = {"images.decode": "images.rgb", "frames.decode": "frames.depth"}
 """Functions that make an image are called by what they make."""
-
-_FramedSensor = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-
-
-def frames_of(sensor: _FramedSensor) -> LazyFrames[Any]:
-    """The sweeps, cycles, images or depth images of a sensor."""
-    return sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
 
 
 @cache
@@ -376,7 +369,7 @@ def _is_parted(value: Any) -> bool:
     return is_dataclass(value) and not isinstance(value, _WHOLE) and not callable(value)
 
 
-def frame_values(sensor: _FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
+def frame_values(sensor: Posed, frame: Any) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that one sweep, cycle, image or depth image holds."""
     prefix = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
     own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(frame.camera, sensor)
@@ -385,7 +378,7 @@ def frame_values(sensor: _FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]
             yield name, value
 
 
-def _same_camera_model(camera_model: Camera, sensor: _FramedSensor) -> bool:
+def _same_camera_model(camera_model: Camera, sensor: Posed) -> bool:
     """Whether an image's camera model is that of its camera, but for zeros at the end of the coefficients."""
     usual = getattr(sensor, "camera", camera_model)
     return camera_model == usual or bool(
@@ -414,7 +407,7 @@ def stationary_values(scene: Scene) -> Iterator[tuple[str, Any]]:
 class _FrameCounts:
     """What the frames of one sensor were found to hold."""
 
-    def __init__(self, sensor: _FramedSensor) -> None:
+    def __init__(self, sensor: Posed) -> None:
         self.sensor = sensor
         self.seen: set[int] = set()
         self.counts: Counter[str] = Counter()
@@ -456,7 +449,7 @@ class Counting:
         """Count all but the frames, and look at the first frame of each sensor."""
         self._stationary = Counter(name for name, _ in stationary_values(scene))
         self._frames: dict[Key, _FrameCounts] = {
-            key_of(sensor.id): _FrameCounts(sensor) for sensor in scene.sensors if isinstance(sensor, _FramedSensor)
+            key_of(sensor.id): _FrameCounts(sensor) for sensor in scene.sensors if isinstance(sensor, Posed)
         }
         self.scene = watched(scene, self._reported)
 

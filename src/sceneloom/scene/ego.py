@@ -17,12 +17,12 @@ from sceneloom.geometry.rigid import (
     rotate_vectors,
     thin_poses,
 )
-from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, frame_times
+from sceneloom.scene.scene import Posed, Scene, frame_times
 from sceneloom.scene.time_range import Interval, cut_path
 from sceneloom.scene.types import Coordinates, Key, PointsFrame, key_of
 from sceneloom.warnings import DataWarning
@@ -222,10 +222,6 @@ def stated_origin(scene: Scene) -> tuple[float, float, float] | None:
         return None
     latitude, longitude, altitude = map(float, numbers)  # type: ignore[arg-type]
     return latitude, longitude, altitude
-
-
-Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-"""Sensors with poses."""
 
 
 def frames_ns(scene: Scene) -> Int64Array:

@@ -223,6 +223,13 @@ class PoseSource:
         """Give `world_from_sensor` at each time, (M,) int64 [ns]."""
         return self.path.interpolate(timestamps_ns, reach_ns=self.reach_ns, mount=self.mount)
 
+    def pose_at(self, timestamp_ns: int) -> RigidTransform | None:
+        """Give `world_from_sensor` at one time [ns]; None where it is out of reach."""
+        found = self.at(np.array([timestamp_ns], np.int64))
+        if not np.isfinite(found.positions).all():
+            return None
+        return RigidTransform.from_quaternion(found.positions[0], found.quaternions_xyzw[0])
+
 
 def placed_along(
     path: Poses | None, mounts: Sequence[RigidTransform | None], timestamps_ns: Int64Array

@@ -22,11 +22,11 @@ from sceneloom.scene.cameras import (
     shots_of,
 )
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import EgoMotion, Posed, needs_ego, points_source, sensor_source
+from sceneloom.scene.ego import EgoMotion, needs_ego, points_source, sensor_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
-from sceneloom.scene.scene import Scene, frame_times, scene_period_ns, sweep_period_ns, usual_period_ns
+from sceneloom.scene.scene import Posed, Scene, frame_times, scene_period_ns, sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
 
 ALL = "all"

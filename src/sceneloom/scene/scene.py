@@ -17,10 +17,11 @@ from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.scene.annotations import Annotation, AttributePath, CameraCalibration, LocalizationAdjustment
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 if TYPE_CHECKING:
     from sceneloom.scene.ego import EgoMotion
@@ -37,6 +38,9 @@ Sensor = (
     | GnssSensor
     | PlainSensor
 )
+
+Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
+"""Sensors with frames, and with poses."""
 
 
 def _nothing() -> None:
@@ -233,13 +237,8 @@ class Scene:
             return corrected
         known = {(warning.code, warning.location) for warning in self.warnings}
         reported = [
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="correction-not-applied",
-                location=f"annotations[{annotation.id}]",
-                message=f"{annotation.type} left off, as was asked for",
-            )
-            for annotation in pending
+            skipped("correction-not-applied", f"annotations[{a.id}]", f"{a.type} left off, as was asked for")
+            for a in pending
         ]
         new = [warning for warning in reported if (warning.code, warning.location) not in known]
         return replace(self, warnings=(*self.warnings, *new)) if new else self
@@ -311,12 +310,20 @@ def scene_period_ns(scene: Scene) -> int:
     return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
 
 
+_NO_FRAMES: LazyFrames[Any] = LazyFrames(np.zeros(0, np.int64), ().__getitem__)
+
+
+def frames_of(sensor: Sensor) -> LazyFrames[Any]:
+    """The sweeps, cycles, images or depth images of a sensor; none of one without."""
+    if isinstance(sensor, CameraSensor):
+        return sensor.images
+    return sensor.frames if isinstance(sensor, Posed) else _NO_FRAMES
+
+
 def frame_times(sensor: Sensor) -> Int64Array:
     """The timestamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
-    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
-        return sensor.frames.timestamps_ns
-    if isinstance(sensor, CameraSensor):
-        return sensor.images.timestamps_ns
+    if isinstance(sensor, Posed):
+        return frames_of(sensor).timestamps_ns
     if isinstance(sensor, OdometrySensor):
         return np.zeros(0, np.int64) if sensor.poses.static else sensor.poses.timestamps_ns
     if isinstance(sensor, ImuSensor):
@@ -388,13 +395,6 @@ def with_assumed_models(scene: Scene) -> Scene:
         return scene
     reported = sorted({*assumed_models(scene), *models})
     metadata = {**scene.metadata, _OURS: {**_ours(scene), _ENTRY: reported}}
-    warnings = (
-        DataWarning(
-            kind=WarningKind.ASSUMED,
-            code="assumed-model",
-            location=f"sensors[{camera_id}].camera",
-            message=f"{model}: computed with by a formula that nothing confirms, as asked for",
-        )
-        for model, camera_id in models.items()
-    )
+    why = "computed with by a formula that nothing confirms, as asked for"
+    warnings = (assumed("assumed-model", f"sensors[{id_}].camera", f"{model}: {why}") for model, id_ in models.items())
     return replace(scene, metadata=MappingProxyType(metadata), warnings=(*scene.warnings, *warnings))

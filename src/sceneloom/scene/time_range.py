@@ -36,9 +36,9 @@ from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, chosen_shot
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene, frame_times, time_span
+from sceneloom.scene.scene import Posed, Scene, frame_times, time_span
 from sceneloom.scene.types import Key, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 _Rows = Callable[[int | None], Int64Array | None]
 """Gives the rows of the points that stay of a frame (by its old number), or of a sensor without frames (None); or
@@ -139,11 +139,7 @@ def _moved_entry(
 
 def _skipped(location: str, *found: tuple[str, str, int]) -> tuple[DataWarning, ...]:
     """A warning for each code, message and count above 0."""
-    return tuple(
-        DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
-        for code, message, count in found
-        if count
-    )
+    return tuple(skipped(code, location, message, count=count) for code, message, count in found if count)
 
 
 Interval = tuple[int, int]
@@ -154,7 +150,6 @@ _POSES_AROUND_NS = 1_000_000_000
 
 _SAME_TIME_NS = 100_000  # a frame that comes so long before a bound comes with it: two firings of a lidar
 _LONGEST = 9.2e9  # what int64 nanoseconds hold, nearly [s]
-_FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 _CAMERAS = (CameraSensor, DepthCameraSensor)
 TIMED_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
@@ -208,7 +203,7 @@ def chosen_interval(scene: Scene, *, start: float | None = None, stop: float | N
         raise OptionError(f"from {start_s} s to {stop_s} s; expected 0 <= start < stop")
     first_ns = span_ns[0] + round(min(start_s, _LONGEST) * 1e9)
     last_ns = span_ns[0] + round(min(stop_s, _LONGEST) * 1e9)
-    times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, _FRAMED)]
+    times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, Posed)]
     timestamps_ns = np.sort(np.concatenate(times)) if times else np.zeros(0, np.int64)
     return _taking_near(first_ns, timestamps_ns), min(_taking_near(last_ns, timestamps_ns), span_ns[1] + 1)
 
@@ -240,7 +235,7 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
         return scene
     times = _Times(part, (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)])))
     sensors = tuple(_cut_sensor(sensor, times) for sensor in scene.sensors)
-    if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, _FRAMED)):
+    if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, Posed)):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
         until = "the end" if stop is None else f"{stop} s"
         raise OptionError(f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s")
@@ -281,7 +276,7 @@ def _cut_sensor(sensor: Any, times: "_Times") -> Any:
         streams = sensor.streams.items()
         cut = {name: select_rows(s, _rows_between(s.timestamps_ns, part)) for name, s in streams}
         return replace(sensor, streams=cut)
-    if not isinstance(sensor, (*_FRAMED, OdometrySensor)):
+    if not isinstance(sensor, Posed | OdometrySensor):
         return sensor
     cut_sensor: Any = sensor
     if not isinstance(sensor, OdometrySensor):

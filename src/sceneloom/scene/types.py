@@ -1,10 +1,10 @@
 """The closed sets of words and the common aliases of the scene model."""
 
 import copyreg
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 Identifier = str | int
 """An id of a sensor or an annotation; its type is kept, and `1` is not `"1"`."""
@@ -20,6 +20,17 @@ def key_of(identifier: Identifier) -> Key:
 
 Progress = Callable[[int, int], None]
 """Is reported how much of some work is done, and how much there is in all."""
+
+_Item = TypeVar("_Item")
+
+
+def reporting(items: Iterable[_Item], progress: Progress | None, total: int) -> Iterator[_Item]:
+    """Give items one after another, each of which is reported as done when the next one is asked for."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, total)
+
 
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 """The extra fields of an object that has none."""

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import fit
 from sceneloom.db34t.protobuf import from_protobuf, path_of, property_of, value_from_protobuf
@@ -38,9 +38,9 @@ from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
 from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
-from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.scene.types import Identifier, PointsFrame, Progress, reporting
 from sceneloom.service.session_log import read_log
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be reported."""
@@ -125,12 +125,8 @@ def _table_3(
         coefficients = found.camera.coefficients
         nearest = replace(found.camera, coefficients=(*coefficients[:5], *[0.0] * (len(coefficients) - 5)))
         message = f"{found.message(model)}, for table 3; {exactly}"
-    warning = _warning(WarningKind.ASSUMED, "camera-model-beyond-table-3", message, f"sensors[{camera.id}]")
+    warning = assumed("camera-model-beyond-table-3", f"sensors[{camera.id}]", message)
     return calibration_data(nearest, camera_from_points, *axes), model, [warning]
-
-
-def _warning(kind: WarningKind, code: str, message: str, location: str = "") -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message)
 
 
 def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
@@ -172,7 +168,7 @@ def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[Ego
         return find_ego_motion(scene, heading=heading), []
     except PoseError as error:
         message = f"sent without motion: {error}"
-        return None, [_warning(WarningKind.SKIPPED, "motion-unknown", message, scene.source)]
+        return None, [skipped("motion-unknown", scene.source, message)]
 
 
 def _path(source: PoseSource | None) -> Poses | None:
@@ -218,7 +214,7 @@ class _Locations:
             f"it moves against lidar {lidar.id!r} by up to {offset:.3f} m and {np.degrees(rotation):.2f}°; its pose in "
             "the middle of the drive was taken"
         )
-        return middle, [_warning(WarningKind.ASSUMED, "mounting-moves", message, f"sensors[{camera.id}]")]
+        return middle, [assumed("mounting-moves", f"sensors[{camera.id}]", message)]
 
     def _seen(self, camera: CameraSensor, lidar: LidarSensor) -> Iterator[RigidTransform]:
         of_camera = sensor_source(self.scene, camera, self.ego, reach_ns=self.reach_ns)
@@ -226,7 +222,7 @@ class _Locations:
         if of_points is None:
             return
         times = camera.images.timestamps_ns
-        times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
+        times = times[spread_rows(len(times), _LOOKED_AT, nearest=False)]
         cameras, points = of_camera.at(times), of_points.at(times)
         for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
             world_from_camera = RigidTransform.from_quaternion(cameras.positions[k], cameras.quaternions_xyzw[k])
@@ -299,10 +295,10 @@ class _Maker:
         source = self.rig.sources[lidar_id]
         if not self._boxes.annotations or source is None:
             return None
-        pose = source.at(np.array([time_ns], np.int64))
-        if pose.coverage[0] == 2:
+        world_from_points = source.pose_at(time_ns)
+        if world_from_points is None:
             return None
-        points_from_world = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]).inverse()
+        points_from_world = world_from_points.inverse()
         rows, found = self._boxes.find(time_ns, sensor_id=lidar_id)
         headings = points_from_world.rotate(found.rotations_world[:, :, 0])
         return Boxes3D(
@@ -535,38 +531,36 @@ def send_scene(
     rig = sent_rig(scene, trajectory=trajectory, heading=heading)
     statistics = Statistics(receiver, pace or Pace(rate))
     _configure(receiver, rig)
-    skipped: list[DataWarning] = []
+    unread: list[DataWarning] = []
     with _refusing(receiver, statistics.pace.rate):
-        _send_frames(rig, statistics, skipped if lenient else None, progress)
+        _send_frames(rig, statistics, unread if lenient else None, progress)
     receiver.flush()
     numbers = {str(sensor_id): number for sensor_id, number in rig.numbers.items()}
-    warnings = (*rig.scene.warnings, *rig.warnings, *skipped)
+    warnings = (*rig.scene.warnings, *rig.warnings, *unread)
     return SendReport.of(rig.scene.source, begun, [statistics], sensors=numbers, warnings=warnings)
 
 
 def _send_frames(
-    rig: _SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
+    rig: _SentRig, statistics: Statistics, unread: list[DataWarning] | None, progress: Progress | None
 ) -> None:
     total = sum(len(lidar.frames) for lidar in rig.scene.lidars)
     total += sum(len(camera.images) for camera in rig.scene.cameras)
     maker = _Maker(rig)
     frames = (frame for frame in in_time_order(rig.scene) if frame[1] in rig.numbers)
-    for done, (timestamp_ns, sensor_id, read) in enumerate(frames, start=1):
+    for timestamp_ns, sensor_id, read in reporting(frames, progress, total):
         motion = maker.motion_until(timestamp_ns)
         statistics.pace.until(timestamp_ns)
         try:
             records = maker.records(sensor_id, read())
         except DataError as error:
-            if skipped is None:
+            if unread is None:
                 raise
-            skipped.append(_warning(WarningKind.SKIPPED, "frame-unreadable", str(error)))
+            unread.append(skipped("frame-unreadable", "", str(error)))
             records = []
         if motion is not None:
             statistics.send_motion(motion)
         for record in records:
             statistics.send(record)
-        if progress is not None:
-            progress(done, total)
 
 
 def _configure(receiver: Receiver, rig: _SentRig) -> None:
@@ -623,9 +617,7 @@ def _must(outcome: Outcome, what: str) -> None:
         raise OptionError(f"the session refuses the {what}: {outcome.cause}: {outcome.reason}")
 
 
-def send_log(
-    path: str | Path, open_session: Callable[[str], Receiver], *, rate: float = 1.0, pace: Pace | None = None
-) -> SendReport:
+def send_log(path: str | Path, open_session: Callable[[str], Receiver], *, rate: float = 1.0) -> SendReport:
     """Send what was taken in the sessions of a log, in its order.
 
     What was refused or dropped is not sent again. Results are the same byte for byte as long as the receiving sessions
@@ -634,21 +626,19 @@ def send_log(
     Args:
         open_session: gives what is sent to, by the name of the session in the log.
         rate: 1 for as fast as it came, 2 for twice as fast, 0 for as fast as the sessions take it.
-        pace: holds records back; None for one of that rate.
 
     Raises:
         DataError: the file is no log, or what stands in it is faulty.
         OptionError: a session refuses the configuration.
     """
-    begun = time.perf_counter()
-    kept = pace or Pace(rate)
+    begun, pace = time.perf_counter(), Pace(rate)
     sessions: dict[str, _ResentSession] = {}
     for entry in read_log(Path(path)):
         if entry.what not in _RESENT:
             continue
         if entry.session not in sessions:
-            sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), kept))
-        kept.until(entry.log_time_ns)
+            sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), pace))
+        pace.until(entry.log_time_ns)
         sessions[entry.session].take(entry.what, entry.message)
     for session in sessions.values():
         session.end()

@@ -28,7 +28,7 @@ from sceneloom.colouring.cuboid_projection import (
     with_counts,
 )
 from sceneloom.detections.detectors import kind_name
-from sceneloom.editing.references import skipped, with_ours, with_warnings
+from sceneloom.editing.references import with_ours, with_warnings
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.kernels.cache import kernel
@@ -55,7 +55,7 @@ from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.tracking.settings import LabelSettings
 from sceneloom.tracking.tracker import wrapped
 from sceneloom.version import __version__
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, skipped
 
 _BOXED = (Support.BOTH, Support.SWEEP, Support.IMAGE)  # states that rest on a box of a detector
 

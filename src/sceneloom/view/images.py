@@ -22,7 +22,7 @@ from sceneloom.scene.annotations import CameraCalibration
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.view.poses import Locations, pose_at, poses_within_reach, transform, transform_columns
 from sceneloom.view.stream import SENSORS, WORLD, Feed, Report, Stream, fits, sdk
@@ -253,7 +253,7 @@ def camera_feed(
         has_pinhole: whether its images hang somewhere.
         ahead: whether images are prepared while others are logged.
     """
-    times_ns = (sensor.images if isinstance(sensor, CameraSensor) else sensor.frames).timestamps_ns
+    times_ns = frame_times(sensor)
     placed = _PlacedCamera(stream, locations, sensor, notify, has_pinhole=has_pinhole)
     placed.log_poses(np.unique(times_ns[::every]))
     if isinstance(sensor, CameraSensor):

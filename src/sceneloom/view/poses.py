@@ -12,13 +12,13 @@ from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.ego import EgoMotion, Posed, needs_ego, sensor_source
+from sceneloom.scene.ego import EgoMotion, needs_ego, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource
-from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, scene_period_ns
 from sceneloom.scene.types import Progress
 from sceneloom.view.stream import fits, sdk
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed
 
 _FAR = 2_000.0
 _GRID = 100.0
@@ -90,14 +90,11 @@ def _ego(
             return EgoMotion.of(estimated_trajectory), ()
     if not needs_ego(scene):
         return None, ()
-    reported = DataWarning(
-        kind=WarningKind.ASSUMED,
-        code="ego-stands-still",
-        location="trajectories",
-        message="no trajectory with orientations: everything is shown as seen from the ego; "
-        "`--trajectory lidar` finds its trajectory from the sweeps",
+    message = (
+        "no trajectory with orientations: everything is shown as seen from the ego; "
+        "`--trajectory lidar` finds its trajectory from the sweeps"
     )
-    return EgoMotion("identity", Poses.identity()), (reported,)
+    return EgoMotion("identity", Poses.identity()), (assumed("ego-stands-still", "trajectories", message),)
 
 
 def _drawn_path(scene: Scene, ego: EgoMotion | None) -> Poses | None:

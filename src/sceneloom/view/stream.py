@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
 from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.scene.types import Identifier
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 
 @cache
@@ -121,16 +121,8 @@ class Stream:
     @property
     def warnings(self) -> tuple[DataWarning, ...]:
         """What was left out so far."""
-        return tuple(
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="beyond-the-viewer",
-                location=kind,
-                message="not shown: their numbers are not finite, or beyond the viewer's float32",
-                count=count,
-            )
-            for kind, count in self.left_out.items()
-        )
+        message = "not shown: their numbers are not finite, or beyond the viewer's float32"
+        return tuple(skipped("beyond-the-viewer", kind, message, count=n) for kind, n in self.left_out.items())
 
     def _note(self, kind: str | None, rows: int, size: int) -> None:
         if kind is not None:
@@ -153,9 +145,9 @@ def escaped(name: Identifier) -> str:
     return str(escape(str(name) or "-"))
 
 
-def one_packed(rgb: tuple[int, int, int], *, alpha: int = 255) -> int:
-    """Pack one colour as 0xRRGGBBAA."""
-    return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | alpha
+def one_packed(rgb: tuple[int, int, int]) -> int:
+    """Pack one opaque colour as 0xRRGGBBAA."""
+    return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | 255
 
 
 Report = Callable[[str, str, str], None]

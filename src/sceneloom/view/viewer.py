@@ -24,7 +24,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
+from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array, spread_rows
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, PoseError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
@@ -40,7 +40,7 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor, VectorSam
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span
 from sceneloom.scene.time_range import cut_scene
-from sceneloom.scene.types import Identifier, Key, PointsFrame, Progress, key_of
+from sceneloom.scene.types import Identifier, Key, PointsFrame, Progress, key_of, reporting
 from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
 from sceneloom.view.images import DEPTH, IMAGE, camera_feed, fused_depth_feed, with_straight_camera_models
 from sceneloom.view.objects import detection_feeds, track_feed
@@ -50,7 +50,7 @@ from sceneloom.view.stream import SENSORS, TIME, WORLD, Feed, Report, Stream, es
 from sceneloom.visualization.canvas import Colour
 from sceneloom.visualization.colour_scales import colour_map
 from sceneloom.visualization.figures import colour_of_name
-from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind, repaired, skipped
 
 _Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]  # colours 0xRRGGBBAA
 _UNSEEN = np.uint32(0x6E6E6EFF)  # of points that no camera saw
@@ -345,7 +345,7 @@ def _show_ego(stream: Stream, locations: Locations) -> None:
         stream.static(stream.path(WORLD, _TRAJECTORIES, name), _strips(line, colour_of_name(name), name))
     if path is None:
         return
-    rows = _spread_rows(len(path.timestamps_ns), _MOST_POSES)
+    rows = spread_rows(len(path.timestamps_ns), _MOST_POSES, nearest=False)
     samples = path.moved(locations.origin_world).held(path.timestamps_ns[rows])
     held = fits(samples.positions)
     stream.leave_out("ego poses", np.count_nonzero(~held))
@@ -374,11 +374,7 @@ def _strips(line: Float64Array, colour: Colour, name: str) -> object:
 
 def _line(positions: Float64Array) -> Float64Array:
     finite = positions[fits(positions)]
-    return np.asarray(finite[_spread_rows(len(finite), _MOST_POSES)], np.float64)
-
-
-def _spread_rows(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+    return np.asarray(finite[spread_rows(len(finite), _MOST_POSES, nearest=False)], np.float64)
 
 
 def _show_imu(stream: Stream, sensor: ImuSensor) -> None:
@@ -477,7 +473,7 @@ def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, 
 def _plan_marks(
     stream: Stream, names: tuple[str | int, ...], times_ns: np.ndarray, enu: Float64Array, colour: Colour
 ) -> None:
-    rows = _spread_rows(len(enu), _MOST_POSES)
+    rows = spread_rows(len(enu), _MOST_POSES, nearest=False)
     marks = sdk().Points2D.columns(
         positions=_on_plan(enu[rows]),
         colors=np.full(len(rows), one_packed(colour), np.uint32),
@@ -528,13 +524,7 @@ class _Reported:
     def warnings(self) -> tuple[DataWarning, ...]:
         """All of it."""
         return tuple(
-            DataWarning(
-                kind=WarningKind.REPAIRED if code == "straightened" else WarningKind.SKIPPED,
-                code=code,
-                location=location,
-                message=message,
-                count=count,
-            )
+            (repaired if code == "straightened" else skipped)(code, location, message, count=count)
             for (code, location), (message, count) in self.lines.items()
         )
 
@@ -748,7 +738,6 @@ class DriveView:
         run = _Run(self, stream, AnnotationView.of(stream, self.locations, scene, reported))
         run.log_maps()
         feeds = run.feeds()
-        total = sum(map(len, feeds))
         lenient = bool(self.settings.reading.get("lenient"))
 
         def passed_over(error: Exception) -> bool:
@@ -758,9 +747,8 @@ class DriveView:
             reported("unreadable", error.location or error.file, error.problem)
             return True
 
-        for done, _ in enumerate(_play(feeds, passed_over), start=1):
-            if progress is not None:
-                progress(done, total)
+        for _ in reporting(_play(feeds, passed_over), progress, sum(map(len, feeds))):
+            pass
         run.annotations.finish()
         _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
         return run.shown(span_ns, findings)
@@ -1022,10 +1010,15 @@ def _new_recording(views: Sequence[DriveView]) -> Any:
 def _log_drives(
     views: Sequence[DriveView], recording: Any, *, progress: Progress | None = None
 ) -> tuple[DriveShown, ...]:
-    """Log drives one after another to an open stream."""
-    spans = [time_span(view.scene) for view in views]
-    calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
-    return tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
+    """Log drives one after another to an open stream, and close it."""
+    try:
+        spans = [time_span(view.scene) for view in views]
+        calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
+        shown = tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
+        recording.flush()
+    finally:
+        recording.disconnect()
+    return shown
 
 
 def save_view(
@@ -1061,11 +1054,7 @@ def save_view(
     ):
         recording = _new_recording(views)
         recording.save(draft, default_blueprint=DriveView.layout(views))
-        try:
-            drives = _log_drives(views, recording, progress=progress)
-            recording.flush()
-        finally:
-            recording.disconnect()
+        drives = _log_drives(views, recording, progress=progress)
     return ViewReport(
         output=str(target), size_bytes=target.stat().st_size, drives=drives, seconds=time.perf_counter() - started
     )
@@ -1277,11 +1266,7 @@ def show_view(
             ready(viewer)
         recording = _new_recording(views)
         recording.connect_grpc(viewer.sink, default_blueprint=DriveView.layout(views))
-        try:
-            drives = _log_drives(views, recording, progress=progress)
-            recording.flush()
-        finally:
-            recording.disconnect()
+        drives = _log_drives(views, recording, progress=progress)
         report = ViewReport(output=None, size_bytes=0, drives=drives, seconds=time.perf_counter() - started)
         _wait(viewer)
     return report

@@ -59,9 +59,9 @@ from sceneloom.visualization.canvas import (
     Canvas,
     Colour,
     PilImage,
-    count_text,
     leave_out,
     seconds_text,
+    several,
     text_height,
 )
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
@@ -372,7 +372,7 @@ def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifie
 
 def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
     events = _active_events(scene, timestamp_ns)
-    return count_text(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
+    return several(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
 
 
 _MARK_PX = 2.2
@@ -493,8 +493,8 @@ def draw_timeline(scene: Scene, *, title: str = "annotations over time", width_p
     for number, row in enumerate(shown):
         _draw_row(canvas, axis, row, round((number + 1) * line), line)
     draw_strip(canvas, height)
-    left = f"; {count_text(len(rows) - len(shown), 'more line')} not drawn" if len(rows) > len(shown) else ""
-    lines = [title, f"{count_text(len(scene.annotations), 'annotation')}{left}"]
+    left = f"; {several(len(rows) - len(shown), 'more line')} not drawn" if len(rows) > len(shown) else ""
+    lines = [title, f"{several(len(scene.annotations), 'annotation')}{left}"]
     draw_caption(canvas, height, width_px, lines)
     return canvas.image
 
@@ -632,9 +632,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     return framed(plot, [f"{calibration.type} {calibration.id} of {calibration.sensor_id}", stated])
 
 
-def draw_adjustment(
-    scene: Scene, adjustment: LocalizationAdjustment, *, size_px: tuple[int, int] = SIZE_PX
-) -> PilImage:
+def draw_adjustment(scene: Scene, adjustment: LocalizationAdjustment) -> PilImage:
     """Draw the ego trajectory before and after a localisation adjustment, from above."""
     trajectory = _some_trajectory(scene)
     before = after = np.zeros((0, 3))
@@ -659,7 +657,7 @@ def draw_adjustment(
     ]
     return draw_cloud_above(
         middle[None], None, ego=EgoPosition(middle, np.array([1.0, 0.0, 0.0])), caption=lines, reach=reach,
-        size_px=size_px, over=over,
+        over=over,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 PilImage = Image.Image
 Colour = tuple[int, int, int]
@@ -38,24 +38,15 @@ class LeftOut:
     @property
     def lines(self) -> tuple[str, ...]:
         """A line for each kind."""
-        return tuple(
-            f"{count:,} {kind} whose coordinates are not finite are not drawn, counted in each image"
-            for kind, count in self.counts.items()
-        )
+        return tuple(f"{count:,} {kind} {_NOT_FINITE}" for kind, count in self.counts.items())
 
     @property
     def warnings(self) -> tuple[DataWarning, ...]:
         """A warning for each kind."""
-        return tuple(
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="not-drawn",
-                location="images",
-                message=f"{kind} whose coordinates are not finite are not drawn, counted in each image",
-                count=count,
-            )
-            for kind, count in self.counts.items()
-        )
+        return tuple(skipped("not-drawn", "images", f"{k} {_NOT_FINITE}", count=n) for k, n in self.counts.items())
+
+
+_NOT_FINITE = "whose coordinates are not finite are not drawn, counted in each image"
 
 
 _LEFT_OUT: ContextVar[LeftOut | None] = ContextVar("left out of images", default=None)
@@ -200,7 +191,7 @@ def seconds_text(timestamp_ns: int) -> str:
     return f"{whole}.{part:03d} s"
 
 
-def count_text(count: int, noun: str) -> str:
+def several(count: int, noun: str) -> str:
     """Write a count with its noun, thousands set apart: "1 point", "12,345 points"."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 

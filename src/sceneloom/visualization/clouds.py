@@ -17,9 +17,9 @@ from sceneloom.visualization.canvas import (
     LINE,
     Canvas,
     PilImage,
-    count_text,
     draw_discs,
     leave_out,
+    several,
     text_height,
 )
 from sceneloom.visualization.colour_scales import (
@@ -206,7 +206,7 @@ def _cloud_caption(lines: Sequence[str], cloud: _DrawnCloud) -> list[str]:
     """Give the caption's title and what the cloud holds."""
     count = len(cloud.points_world)
     share = f"{100.0 * cloud.seen / count:.0f} % coloured, the others grey" if cloud.seen else "none coloured"
-    held = f"{count_text(count, 'point')}, {share}" if count else "no points"
+    held = f"{several(count, 'point')}, {share}" if count else "no points"
     return [*lines, held + (f"; {cloud.left_out:,} not finite" if cloud.left_out else "")][:2]
 
 

@@ -18,15 +18,7 @@ from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.base.output import file_stem, file_stems, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import Poses
-from sceneloom.visualization.canvas import (
-    Canvas,
-    PilImage,
-    count_text,
-    draw_crosses,
-    draw_discs,
-    leave_out,
-    seconds_text,
-)
+from sceneloom.visualization.canvas import Canvas, PilImage, draw_crosses, draw_discs, leave_out, seconds_text, several
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
 from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
 
@@ -61,7 +53,7 @@ def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidde
     radius = _disc_radius(view)
     drawn = draw_discs(drawn, view.pixels[view.visible], depths, used.colours(depths), radius)
     hidden = len(view.depths) - len(depths)
-    counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (" (crosses)" if show_hidden else "")
+    counts = f"{several(len(depths), 'point')}, {hidden:,} more hidden" + (" (crosses)" if show_hidden else "")
     return framed(image_canvas(drawn), [_title(view), counts], scale=used)
 
 
@@ -81,7 +73,7 @@ def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> Pil
     pixels = np.column_stack([columns, rows]).astype(np.float32)
     drawn = draw_discs(empty, pixels, depths, used.colours(depths), max(1.0, _disc_radius(view)))
     share = 100.0 * len(depths) / view.depth_image.size
-    counts = f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"
+    counts = f"{several(len(depths), 'pixel')} with depth, {share:.2g} %"
     return framed(image_canvas(drawn), [_title(view), counts], scale=used)
 
 
@@ -108,17 +100,16 @@ def subdued(rgb: UInt8Array) -> UInt8Array:
     return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)
 
 
-def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale | None = None) -> PilImage:
+def draw_dense_depth(view: FusedView, dense: "DenseDepth") -> PilImage:
     """Draw a completed depth image below its image, and its confidence below it: black 0, white 1.
 
     Args:
         dense: what was made of it.
-        scale: the colours of the depths; by default chosen to hold the view's own depths.
     """
-    used = scale or view_scale(view)
+    scale = view_scale(view)
     known = dense.depths > 0
     depths: UInt8Array = np.full((*dense.depths.shape, 3), NO_DEPTH, np.uint8)
-    depths[known] = used.colours(dense.depths[known])
+    depths[known] = scale.colours(dense.depths[known])
     grey = np.rint(dense.confidence * 255).astype(np.uint8)
     sheet = np.concatenate([view.rgb, depths, np.repeat(grey[..., None], 3, axis=2)])
     share, sure = 100.0 * known.mean(), 100.0 * (dense.confidence >= 0.9).mean()
@@ -126,7 +117,7 @@ def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale 
         f"{view.camera_id} · {seconds_text(view.timestamp_ns)}",
         f"{share:.1f} % with depth, {sure:.1f} % surer than 0.9",
     ]
-    return framed(image_canvas(sheet), lines, scale=used)
+    return framed(image_canvas(sheet), lines, scale=scale)
 
 
 _COMPRESSION = 2  # higher levels of PNG make these images 3 % smaller and take three times as long
@@ -292,7 +283,7 @@ class DriveCloud:
                 middle = trajectory[int(np.searchsorted(done[1:], done[-1] / 2))]
                 reach = float(np.abs(trajectory[:, :2] - middle[:2]).max()) + _MARGIN
         ego = find_ego(pose, trajectory, ())
-        caption = [f"{count_text(len(self._parts), 'sweep')} of the drive together"]
+        caption = [f"{several(len(self._parts), 'sweep')} of the drive together"]
         above, perspective = (
             partial(draw, positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption)
             for draw in (draw_cloud_above, draw_cloud_perspective)

@@ -5,7 +5,7 @@ shows the object, or nothing does, and it is where its motion leads it, which is
 holds its middle with a probability of 95 %, and an arrow leads where it is in half a second.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -17,8 +17,8 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
-from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
-from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.canvas import Canvas, Colour, PilImage, seconds_text, several
+from sceneloom.visualization.clouds import EgoPosition, MapLayout, draw_cloud_above
 from sceneloom.visualization.colour_scales import framed, image_canvas
 from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
@@ -87,19 +87,13 @@ def objects_of_fused(
 
 
 def draw_objects_in_image(
-    image: CameraImage,
-    objects: TrackedObjects,
-    world_from_camera: RigidTransform,
-    camera_id: Identifier,
-    *,
-    title: str = "objects",
+    image: CameraImage, objects: TrackedObjects, world_from_camera: RigidTransform, camera_id: Identifier
 ) -> PilImage:
     """Draw objects over an image: their boxes in space through the camera model, and their boxes in the image.
 
     Args:
         objects: in the world.
         world_from_camera: where the camera was.
-        title: what the image is about; goes before camera and time.
 
     Raises:
         DataError: the image cannot be decoded.
@@ -118,8 +112,8 @@ def draw_objects_in_image(
         elif corners_xyxy is not None and np.isfinite(corners_xyxy[k]).all():
             names.append((_outline(objects, k, corners_xyxy[k]), corners_xyxy[k, :2]))
     write_names(canvas, names)
-    about = " · ".join([title, str(camera_id), seconds_text(image.timestamp_ns)])
-    return framed(canvas, [about, f"{count_text(len(names), 'object')} found"])
+    about = f"objects · {camera_id} · {seconds_text(image.timestamp_ns)}"
+    return framed(canvas, [about, f"{several(len(names), 'object')} found"])
 
 
 def draw_objects_above(
@@ -128,9 +122,7 @@ def draw_objects_above(
     *,
     ego: EgoPosition | None = None,
     trails: Mapping[int, Float64Array] | None = None,
-    caption: Sequence[str] = (),
     reach: float | None = None,
-    size_px: tuple[int, int] = SIZE_PX,
 ) -> PilImage:
     """Draw objects on the map of a cloud: boxes, numbers, where they go, and how well their locations are known.
 
@@ -139,21 +131,17 @@ def draw_objects_above(
         objects: in the same frame.
         ego: the map's middle, marked by an arrow.
         trails: where objects were before, (K, 3) float64 [m], by number.
-        caption: one or two lines; by default time and count.
         reach: from the map's middle to its upper edge [m].
-        size_px: width and height of the image.
 
     Raises:
-        OptionError: the reach or the size cannot be drawn.
+        OptionError: the reach cannot be drawn.
     """
-    reported = caption or [f"objects from above · {seconds_text(objects.timestamp_ns)}"]
     return draw_cloud_above(
         points_world,
         None,
         ego=ego,
-        caption=reported,
+        caption=[f"objects from above · {seconds_text(objects.timestamp_ns)}"],
         reach=reach,
-        size_px=size_px,
         over=partial(_draw_over, objects, trails or {}),
     )
 

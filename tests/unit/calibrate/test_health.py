@@ -12,7 +12,7 @@ from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health import PARTS, CalibrationHealth, Item, Verdict, check_frames, judge
 from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.residuals import BoxFrame, BoxRotation
+from sceneloom.detections.results import BoxFrame, BoxRotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 

@@ -126,11 +126,13 @@ def test_images_or_clouds_that_show_too_little_are_undetermined_and_say_why(fram
     assert refine(filled).verdict is RefinementVerdict.UNDETERMINED
     up = RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3)) @ frames[0].camera_from_lidar
     bare = {"intensities": None, "seconds": None, "scan": None}
+    wider = replace(frames[-1].camera, fx=0.5 * frames[-1].camera.fx)
     point = tuple(replace(frame, points_lidar=frame.points_lidar[:1], **bare) for frame in frames)
     for seen, reason in (
         (stated(frames, up), ""),
         (point, "does it look where the calibration says"),
         (frames[:2], "2 frames; expected"),
+        ((*frames[:-1], replace(frames[-1], camera=wider)), "differs from image to image"),
     ):
         found = refine(seen)
         assert found.verdict is RefinementVerdict.UNDETERMINED
@@ -168,7 +170,7 @@ def test_sums_over_maps_are_those_of_scipy():
 
 
 def test_pixels_move_as_their_derivatives_state(frames):
-    cues = find_cues(frames[2])
+    cues = find_cues(frames[2], frames[2].camera)
     chosen, free = np.arange(0, len(cues.weights), 50), np.arange(8)
     numbers = np.array([0.01, -0.02, 0.005, 0.02, -0.01, 0.03, 0.01, 0.02])
     _, slopes = moving_pixels(cues, chosen, numbers, free)
@@ -343,7 +345,8 @@ def edges_of(ranges):
 
 def test_contrasts_are_those_of_points_between_two_of_the_same_surface():
     levels = np.array([10, 40, 20, 90, 30, 60, 200, 10, 50], np.uint8)
-    cues = find_cues(frame_of(np.full((9, 80), 20.0), np.repeat(levels, 80)))
+    frame = frame_of(np.full((9, 80), 20.0), np.repeat(levels, 80))
+    cues = find_cues(frame, frame.camera)
     points, contrasts = cues.points_lidar[cues.maps == 4], cues.weights[cues.maps == 4]
     lines = np.rint(np.degrees(np.arcsin(points[:, 2] / 20.0)) + 4.0).astype(int)
     expected = 2.0 * levels.astype(float)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sceneloom.errors import OptionError
 from sceneloom.visualization import colour_scales as scales
-from sceneloom.visualization.canvas import Canvas, count_text, draw_crosses, draw_discs, seconds_text, text_height
+from sceneloom.visualization.canvas import Canvas, draw_crosses, draw_discs, seconds_text, several, text_height
 from sceneloom.visualization.colour_scales import ANCHORS, DepthScale, colour_map
 
 
@@ -22,7 +22,7 @@ def test_times_are_written_exactly_and_rounded_down(timestamp_ns):
 
 
 def test_counts_agree_with_their_nouns_letters_grow_with_the_image_and_a_polygon_covers_its_area():
-    assert [count_text(n, "point") for n in (0, 1, 12345)] == ["0 points", "1 point", "12,345 points"]
+    assert [several(n, "point") for n in (0, 1, 12345)] == ["0 points", "1 point", "12,345 points"]
     for size, least, most in (((640, 384), 12, 13), ((1242, 375), 14, 20), ((1920, 1080), 22, 32)):
         assert least <= text_height(*size) <= most
     canvas = Canvas.blank(60, 50, text_px=12, colour=(0, 0, 0))

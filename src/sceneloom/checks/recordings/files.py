@@ -17,7 +17,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
 from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.recordings.times import Kind, streams_of_kind
-from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, frames_spread
+from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, frames_spread, with_each
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording.contents import CALIBRATION_FILE, CAMERA_MODEL_READINGS, FrameColumns, time_order, view
 from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
@@ -373,9 +373,7 @@ def _left_and_right(subject: Subject) -> Iterator[Hit]:
 
 def _with_rotations(scene: Scene) -> Scene:
     """Let entries of the calibration state the rotations that were taken instead of theirs."""
-    sensors = tuple(map(_with_rotation, scene.sensors))
-    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
-    return replace(scene, sensors=sensors) if changed else scene
+    return with_each(scene, "sensors", _with_rotation)
 
 
 def _with_rotation(sensor: Sensor) -> Sensor:

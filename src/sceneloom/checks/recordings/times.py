@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
-from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject, with_each
 from sceneloom.formats.recording.contents import RECEIVER, Columns, line_seconds, time_order
 from sceneloom.geometry.rigid import normalise_quaternion
 from sceneloom.scene.cameras import CameraSensor
@@ -193,10 +193,7 @@ def _make_streams(subject: Subject) -> tuple[Stream, ...]:
 
 def without_repetitions(scene: Scene) -> Scene:
     """Leave out samples, fixes and images that repeat the one before at the same time."""
-    sensors = tuple(map(_without_repeated_rows, scene.sensors))
-    if any(new is not old for new, old in zip(sensors, scene.sensors, strict=True)):
-        scene = replace(scene, sensors=sensors)
-    return _without_kept_poses(scene)
+    return _without_kept_poses(with_each(scene, "sensors", _without_repeated_rows))
 
 
 def _without_repeated_rows(sensor: Sensor) -> Sensor:

@@ -27,6 +27,7 @@ from sceneloom.db34t.transport import calls_of, details_of, open_channel, read_t
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.output import replacing
+from sceneloom.scene.types import Progress, reporting
 
 CHECKS: tuple[Check, ...] = tuple(
     check
@@ -147,11 +148,7 @@ def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
 
 
 def examine(
-    transport: Transport,
-    *,
-    address: str = "",
-    only: Iterable[str] = (),
-    progress: Callable[[int, int], None] | None = None,
+    transport: Transport, *, address: str = "", only: Iterable[str] = (), progress: Progress | None = None
 ) -> Examination:
     """Run checks against a server, each in sessions of its own that are ended after it.
 
@@ -164,12 +161,7 @@ def examine(
     """
     checks = chosen(only)
     bench = Bench(transport, f"conformance-{secrets.token_hex(4)}")
-    findings = []
-    for number, check in enumerate(checks):
-        findings.append(_run(check, bench))
-        if progress is not None:
-            progress(number + 1, len(checks))
-    return Examination(address, tuple(findings))
+    return Examination(address, tuple(_run(check, bench) for check in reporting(checks, progress, len(checks))))
 
 
 def _run(check: Check, bench: Bench) -> Finding:

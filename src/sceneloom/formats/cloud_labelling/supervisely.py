@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, check_choice
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.json_files import decode_part, read_json
 from sceneloom.formats.base.losses import LossReport
@@ -548,8 +548,7 @@ def write_supervisely(
         OptionError: an option is none of these, or the scene has no sweep.
         DataError: a frame or image cannot be read.
     """
-    if project not in _PROJECTS:
-        raise OptionError(f"project {project!r}; expected one of {', '.join(_PROJECTS)}")
+    check_choice("project", project, _PROJECTS)
     plan = TaskPlan(scene, SUPERVISELY_SUPPORTS, TaskOptions(lidar, points_frame, trajectory), holds_points=True)
     about = scene.metadata.get("supervisely")
     about = about if isinstance(about, Mapping) else {}

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt32Array, read_only
-from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.errors import CalibrationError, DataError, check_choice
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
@@ -121,8 +121,7 @@ def open_odometry(path: Path, *, sequence: str | None = None, labels: str = "rea
     Raises:
         OptionError: there are several sequences and none was chosen, or `labels` is none of these.
     """
-    if labels not in _LABELS:
-        raise OptionError(f"labels {labels!r}; expected one of {', '.join(_LABELS)}")
+    check_choice("labels", labels, _LABELS)
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         return _open(_find_sequence(path, sequence), ledger, with_labels=labels == "read")

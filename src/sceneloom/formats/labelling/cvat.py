@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, check_choice
 from sceneloom.formats.base.files import check_length, file_faults, open_file, read_settings
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.masks import Mask
@@ -675,8 +675,7 @@ _ORDER = "xyz"  # of the three angles: Rx Ry Rz, that of three.js, with which CV
 
 
 def _dialect(name: str) -> str:
-    if name not in _DIALECTS:
-        raise OptionError(f"dialect {name!r}; expected one of {', '.join(_DIALECTS)}")
+    check_choice("dialect", name, _DIALECTS)
     return name
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, check_choice
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageFile, encode_jpeg, encode_png, images_image_size, is_jpeg
 from sceneloom.formats.base.json_files import read_json
@@ -812,8 +812,7 @@ class Sheet:
             OutputError: the output exists, or cannot be written.
             DataError: an image cannot be read.
         """
-        if images not in IMAGE_CHOICES:
-            raise OptionError(f"images {images!r}; expected one of {', '.join(IMAGE_CHOICES)}")
+        check_choice("images", images, IMAGE_CHOICES)
         count = sum(where is not None for where in self._images)
         if path.name.lower().endswith(suffix):
             with replacing(path, overwrite=overwrite) as draft:

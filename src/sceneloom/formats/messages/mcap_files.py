@@ -25,7 +25,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, how_to_install
+from sceneloom.errors import DataError, MissingExtraError, OutputError, check_choice, how_to_install
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.messages.file_bytes import DIRECT, Chunk, ChunkedMessages, FileBytes
 from sceneloom.formats.messages.spec import MCAP_MAGIC
@@ -539,8 +539,7 @@ def _packed(*records: McapRecord) -> bytes:
 
 def _compressor(name: str) -> Callable[[bytes], bytes] | None:
     """What compresses a chunk; None for "none"."""
-    if name not in _COMPRESSIONS:
-        raise OptionError(f"compression {name!r}; expected one of {', '.join(_COMPRESSIONS)}")
+    check_choice("compression", name, _COMPRESSIONS)
     try:
         if name == "lz4":
             import lz4.frame

@@ -21,7 +21,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
-from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.errors import DataError, OptionError, OutputError, check_choice
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
 from sceneloom.formats.base.losses import LossReport
@@ -779,8 +779,7 @@ def write_ros2(
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    if storage not in _STORAGES:
-        raise OptionError(f"storage {storage!r}; expected one of {', '.join(_STORAGES)}")
+    check_choice("storage", storage, _STORAGES)
     plugin = StoragePlugin[storage.upper()]
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         draft.rmdir()
@@ -972,8 +971,7 @@ _USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 def _distro_store(distro: str) -> Any:
     """Give the types of a distribution, and those that it lacks."""
     known = {store.value.partition("_")[2]: store for store in Stores if "_" in store.value}
-    if distro not in known:
-        raise OptionError(f"distro {distro!r}; expected one of {', '.join(known)}")
+    check_choice("distro", distro, known)
     store = get_typestore(known[distro])
     for name, text in DEFINITIONS.items():
         if name not in store.fielddefs:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera, to_ros
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_choice
 from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.messages.cameras import MILLIMETRE, OUR_PREFIX, UNKNOWN_MODEL
 from sceneloom.formats.messages.points import DIRECTION_COLUMNS, OLD_TIME_COLUMN, SPEED_COLUMNS, TIME_COLUMNS
@@ -152,8 +152,7 @@ def check_images(images: str) -> None:
     Raises:
         OptionError: there is no such way of writing images.
     """
-    if images not in _IMAGES:
-        raise OptionError(f"images {images!r}; expected one of {', '.join(_IMAGES)}")
+    check_choice("images", images, _IMAGES)
 
 
 def _stream(times_ns: Int64Array, topic: str, make: Callable[[int], AnyRecord]) -> _Stream:

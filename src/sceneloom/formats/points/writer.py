@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.editing.move_world import points_change, to_ego, to_sensor, to_world
-from sceneloom.errors import OptionError, PoseError
+from sceneloom.errors import OptionError, PoseError, check_choice
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
@@ -92,8 +92,7 @@ class _Saving:
     def __post_init__(self) -> None:
         if self.frame is not None and self.frame not in tuple(PointsFrame):
             raise OptionError(f"frame {self.frame!r}; expected one of {', '.join(PointsFrame)}")
-        if self.encoding not in ENCODINGS:
-            raise OptionError(f"encoding {self.encoding!r}; expected one of {', '.join(ENCODINGS)}")
+        check_choice("encoding", self.encoding, ENCODINGS)
 
 
 def write_clouds(scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool = False, **options: str) -> LossReport:

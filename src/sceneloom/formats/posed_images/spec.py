@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec, as_positive, option
 
@@ -29,8 +29,7 @@ class PosedSettings:
     trajectory: str | None = option(default=None, help="Name of the ego's trajectory, where sensors are mounted on it.")
 
     def __post_init__(self) -> None:
-        if self.images not in _IMAGES:
-            raise OptionError(f"images {self.images!r}; expected one of {', '.join(_IMAGES)}")
+        check_choice("images", self.images, _IMAGES)
         object.__setattr__(self, "voxel", as_positive("voxel", self.voxel))
         object.__setattr__(self, "points", _count("points", self.points))
 

@@ -14,7 +14,7 @@ from sceneloom.arrays import Float64Array, UInt8Array
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.editing.thin import FIRST, evenly, one_per_cube
-from sceneloom.errors import CalibrationError, OptionError, PoseError
+from sceneloom.errors import CalibrationError, OptionError, PoseError, check_choice
 from sceneloom.formats.base.images import encode_jpeg
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
@@ -384,8 +384,7 @@ def write_colmap(
         DataError: an image or a sweep cannot be read.
         CalibrationError: COLMAP has no model for a camera model.
     """
-    if model not in _FORMS:
-        raise OptionError(f"model {model!r}; expected one of {', '.join(_FORMS)}")
+    check_choice("model", model, _FORMS)
     posed = _PosedScene.of(scene, PosedSettings(**options))
     cameras: dict[Camera, _ColmapCamera] = {}
     with replacing(path, overwrite=overwrite, folder=_COLMAP_KIND) as draft:

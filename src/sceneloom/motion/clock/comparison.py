@@ -14,12 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, finite_rows
-from sceneloom.geometry.rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
-)
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, nearest_rotation, rotation_vector_from_matrix
 from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve, SmoothedTrajectory, TrajectorySamples
 
 REACH_NS = 5_000_000_000
@@ -621,7 +616,7 @@ class _Clocks:
         rotation = best.rotation
         if rotation is not None:
             into_reference = rotation if self.finer_is_stream else rotation.T
-            rotation = rotation_vector_from_quaternion(quaternion_from_matrix(into_reference))
+            rotation = rotation_vector_from_matrix(into_reference)
         return ClockEstimate(
             verdict=verdict,
             reason=reason,
@@ -672,8 +667,11 @@ class _Peak:
     rotation: Float64Array  # (3, 3) that takes the second stream's vectors into the first's
 
 
+_MOST_PEAKS = 4  # lags at which two streams are compared
+
+
 def _correlation_peaks(
-    first: Float64Array, second: Float64Array, reach: int, *, centre: int, expected: Float64Array, most: int = 4
+    first: Float64Array, second: Float64Array, reach: int, *, centre: int, expected: Float64Array
 ) -> list[_Peak]:
     """Find lags, within `reach` steps of `centre`, at which second[k + lag] is most like first[k], the best first."""
     # the sum of the singular values of the 3x3 correlation at a lag is the largest correlation that a rotation between
@@ -692,11 +690,10 @@ def _correlation_peaks(
     tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (scores > 0))
     sigma, lobe = _chance(first, second)
     peaks = []
-    for k in tops[np.argsort(-scores[tops])][:most].tolist():
+    for k in tops[np.argsort(-scores[tops])][:_MOST_PEAKS].tolist():
         others = scores[np.abs(np.arange(len(scores)) - k) > 2 * lobe]
         heights = np.arctanh(np.clip([scores[k], others.max(initial=0.0)], 0.0, 1 - 1e-9))
-        u, _, vt = np.linalg.svd(products[k] + 0.02 * expected)
-        rotation = (u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])) @ vt
+        rotation, _ = nearest_rotation(products[k] + 0.02 * expected)
         lag = k + _vertex(scores, k) - reach + centre
         peaks.append(_Peak(lag, float(min(scores[k], 1.0)), float((heights[0] - heights[1]) / sigma), rotation))
     return peaks
@@ -1012,7 +1009,7 @@ class _RotationModel:
 
     def rotated(self, parameters: Float64Array) -> Float64Array:
         """The rotation (3, 3) from the finer stream's body into the other's."""
-        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(parameters[2:5]))
+        rotation = matrix_from_rotation_vector(parameters[2:5])
         return np.asarray(rotation @ self.coarse_from_fine, np.float64)
 
     def noise_share(self, found: _Fit) -> float:
@@ -1104,7 +1101,7 @@ def compare_trajectories(
     if extent < _LEAST_DISTANCE:
         return ClockEstimate.unknown(f"fixes within {extent:.2f} m; expected a body that moves {_LEAST_DISTANCE:.0f} m")
     model = _TrajectoryModel.of(fixes, trajectory, origin_ns)
-    known = model.known_at(0.0)
+    known = model.known
     common = float(np.ptp(model.times[known])) if known.any() else 0.0
     if known.sum() < _LEAST_FIXES or common < _LEAST_COMMON_FIXES:
         return ClockEstimate.unknown(
@@ -1222,9 +1219,10 @@ class _TrajectoryModel:
         """The amounts of the trajectory's drifts (W, E) among those of all nuisances."""
         return amounts[:, 2 * (self.trajectory.degree + 1) : -2]
 
-    def known_at(self, lag: float) -> BoolArray:
+    @property
+    def known(self) -> BoolArray:
         """At which fixes the trajectory is known, (N,)."""
-        return np.asarray(np.isfinite(self._samples(np.full(len(self.times), lag)).locations), np.bool_)
+        return np.asarray(np.isfinite(self._samples(np.zeros(len(self.times))).locations), np.bool_)
 
     def _samples(self, shifts: Float64Array) -> TrajectorySamples:
         edges = np.searchsorted(self.windows, np.arange(len(self.bounds) + 1))

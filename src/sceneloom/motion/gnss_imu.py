@@ -1805,7 +1805,7 @@ def _notes_of_steps(
             f"fixes step by {max(sizes):.1f} m beyond what the IMU moved, first at {min(found) * 1e-9:.3f} s; the "
             "trajectory follows them, and its covariances do not contain such steps"
         )
-        yield _warning(WarningKind.ASSUMED, "gnss-steps", location, message, len(found))
+        yield assumed("gnss-steps", location, message, count=len(found))
 
 
 _WITH = {

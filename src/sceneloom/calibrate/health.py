@@ -267,6 +267,12 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         """The part of that name."""
         return next(item for item in self.items if item.name == name)
 
+    @property
+    def extent(self) -> str:
+        """Of which parts a good verdict is: "in rotation, focal length", as others may not be known; else ""."""
+        names = [item.name.replace("_", " ") for item in self.items if item.verdict is Verdict.GOOD]
+        return f"in {', '.join(names)}" if self.verdict is Verdict.GOOD else ""
+
     @classmethod
     def of_boxes(
         cls,

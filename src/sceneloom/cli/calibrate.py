@@ -173,7 +173,8 @@ def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
     looked = several(health.frames, "image")
     if health.views:
         looked += f" of {several(health.views, 'view')}"
-    click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {health.verdict} ({looked})")
+    verdict = f"{health.verdict} {health.extent}".rstrip()
+    click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {verdict} ({looked})")
     reasons = {item.reason for item in health.items}
     if len(reasons) == 1 and reasons != {""}:
         click.echo(f"nothing can be reported: {reasons.pop()}")

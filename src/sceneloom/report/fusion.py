@@ -92,7 +92,9 @@ def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: in
     return msgspec.structs.replace(
         known,
         verdict=health.verdict.value,
-        reason=next((item.reason for item in health.items if item.verdict is health.verdict and item.reason), ""),
+        reason=f"good {health.extent}"
+        if health.extent
+        else next((item.reason for item in health.items if item.verdict is health.verdict and item.reason), ""),
         items=health.items,
         frames=health.frames,
         distinctness=health.distinctness,

@@ -87,9 +87,11 @@ def test_a_true_calibration_is_good_and_a_camera_rotated_by_a_degree_is_not_and_
     # what is found lies within what is stated for its uncertainty
     assert np.linalg.norm(np.array(rotation.values) / rotation.sigmas) < 3.0
     assert good.stated_distinctness > 4.5
+    of_parts = {name for name in good.extent.removeprefix("in ").split(", ") if name}
+    assert of_parts == {item.name.replace("_", " ") for item in good.items if item.verdict is GOOD} >= {"rotation"}
     injected = np.array([0.7, -0.5, 0.5])
     health = check_frames(rotated(frames, *injected))
-    assert health.verdict in {DRIFTING, WRONG}
+    assert (health.verdict in {DRIFTING, WRONG}, health.extent) == (True, "")
     # 0.3 degrees: twice the uncertainty of each axis
     assert np.linalg.norm(np.array(health.item("rotation").values) + injected) < 0.3
 

@@ -1751,30 +1751,43 @@ def gnss_imu_motion(
     if samples is not None and _always_stands(fit, samples):
         poses[:, :3, :3] += _about_up_anyhow(motion.rotations)
         own[:, :3, :3] += _about_up_anyhow(fit.states.rotations)
+    used = fit.weights > 0.5
+    steps = _find_steps(drive, used, sigmas, motion)
+    for times, vectors in steps:
+        # the fixes are as right before all steps as after them: who comes back was away, who does not may be either
+        levels = np.vstack([np.zeros(2), np.cumsum(vectors, axis=0)])
+        passed = np.searchsorted(times, motion.timestamps_ns, side="right")
+        for level in (levels[0], levels[-1]):
+            offsets = (levels - level)[passed]
+            poses[:, 3:5, 3:5] += 0.5 * offsets[:, :, None] * offsets[:, None]
     rotations = None if samples is None and lidar is None else quaternion_from_matrix(motion.rotations)
     trajectory = Trajectory(NAME, motion.timestamps_ns, motion.positions, rotations, covariances=poses)
-    used = fit.weights > 0.5
     notes = _notes(scene.source, drive, trajectory, used, sigmas, slow, factor)
-    steps = _notes_of_steps(scene.source, drive, used, sigmas, motion, slow)
-    warnings = (*fixes.warnings, *notes, *steps)
+    warnings = (*fixes.warnings, *notes, *_notes_of_steps(scene.source, steps))
     return GnssImuRun(
         trajectory, fixes.origin_lla, motion.velocities, motion.biases, fit.chain.knots_ns, own, fixes, used,
         sigmas, warnings,
     )  # fmt: skip
 
 
-_STEP, _STEP_OF_SLOW, _STEP_SECONDS = 6.0, 2.0, 2.0
-"""A step of the fixes counts beyond so many standard deviations of their noise, and of the slow errors, between fixes
-that are no more than so many seconds apart."""
+_STEP, _STEP_OF_USUAL, _STEP_OF_STATED = 6.0, 8.0, 2.0
+"""A step of the fixes counts beyond so many standard deviations of their noise, of what such steps usually are in the
+drive, and of what the receiver states."""
+
+_STEP_FIXES, _STEP_SECONDS, _STEP_GAP = (2, 10), 2.0, 2.0
+"""A step is measured by so many fixes before and after it, at least and at most, within so many seconds where there are
+enough; none is where a second fix is farther than the last number of seconds from the first."""
 
 
-def _notes_of_steps(
-    location: str, drive: _Drive, used: BoolArray, sigmas: Float64Array, motion: _Motion, slow: Float64Array
-) -> Iterator[DataWarning]:
-    """Warn of fixes that step together, which the trajectory follows, where the IMU moved on."""
+def _find_steps(
+    drive: _Drive, used: BoolArray, sigmas: Float64Array, motion: _Motion
+) -> list[tuple[Int64Array, Float64Array]]:
+    """Find where fixes step together and the IMU moves on: times (S,) [ns] and steps (S, 2) across [m], by receiver."""
     fixes, samples = drive.fixes, drive.samples
     if samples is None:
-        return
+        return []
+    from scipy.ndimage import maximum_filter1d
+
     # positions by the IMU alone, up to a velocity, which the fixes around a step have
     seconds = np.diff(samples.timestamps_ns)[:, None] * 1e-9
     near = np.clip(np.searchsorted(motion.timestamps_ns, samples.timestamps_ns), 0, len(motion.timestamps_ns) - 1)
@@ -1782,30 +1795,49 @@ def _notes_of_steps(
     accelerations = np.einsum("nij,nj->ni", motion.rotations[near], forces)[:-1] - [0.0, 0.0, drive.gravity]
     velocities = np.vstack([np.zeros(3), np.cumsum(accelerations * seconds, axis=0)])
     moved = np.vstack([np.zeros(3), np.cumsum((velocities[:-1] + 0.5 * accelerations * seconds) * seconds, axis=0)])
-    found, sizes = [], []
+    found = []
     for receiver in np.unique(fixes.receivers):
         rows = np.flatnonzero(used & (fixes.receivers == receiver))
+        few, many = _STEP_FIXES
+        if len(rows) < 2 * few:
+            continue
         times = fixes.timestamps_ns[rows]
         near = np.clip(np.searchsorted(motion.timestamps_ns, times), 0, len(motion.timestamps_ns) - 1)
         antennas = np.einsum("nij,nj->ni", motion.rotations[near], fixes.levers[rows])
         apart = (fixes.positions[rows] - antennas - _resampled(times, samples.timestamps_ns, moved))[:, :2]
         gaps = np.diff(times) * 1e-9
-        before, after = 0.5 * gaps[1:-1] / gaps[:-2], 0.5 * gaps[1:-1] / gaps[2:]
-        parts = np.stack([before, -1.0 - before, 1.0 + after, -after], axis=1)
-        around = np.arange(4) + np.arange(max(len(rows) - 3, 0))[:, None]
-        steps = np.linalg.norm(np.einsum("nk,nkd->nd", parts, apart[around]), axis=1)
+        count = int(np.clip(_STEP_SECONDS / max(np.median(gaps), 1e-3), few, min(many, len(rows) // 2)))
+        around = np.arange(2 * count) + np.arange(len(rows) - 2 * count + 1)[:, None]
+        # a constant, a velocity, and the step
+        columns = np.ones((*around.shape, 3))
+        columns[:, :, 1] = (times[around] - times[around[:, count], None]) * 1e-9
+        columns[:, :count, 2] = 0.0
+        parts = np.linalg.pinv(columns)[:, 2]
+        steps = np.einsum("nk,nkd->nd", parts, apart[around])
+        sizes = np.linalg.norm(steps, axis=1)
         noise = np.sqrt((parts**2 * sigmas[rows, 0][around] ** 2).sum(axis=1))
-        beyond = steps > np.maximum(_STEP * noise, _STEP_OF_SLOW * np.sqrt(np.median(slow[:, 0])))
-        beyond &= gaps[np.arange(3) + np.arange(len(beyond))[:, None]].max(axis=1) <= _STEP_SECONDS
-        beyond &= samples.is_measured(times[:-3], times[3:], slack_ns=samples.slack_ns)
-        found.extend(times[2:-1][beyond].tolist())
-        sizes.extend(steps[beyond].tolist())
-    if found:
+        usual = 1.4826 * np.median(np.abs(steps))
+        least = max(_STEP_OF_USUAL * usual, _STEP_OF_STATED * float(np.median(fixes.sigmas[rows, 0])))
+        beyond = sizes > np.maximum(_STEP * noise, least)
+        beyond &= gaps[around[:, :-1]].max(axis=1) <= _STEP_GAP
+        beyond &= samples.is_measured(times[around[:, 0]], times[around[:, -1]], slack_ns=samples.slack_ns)
+        # a step shows in all spans that contain it; it is where it is largest
+        beyond &= sizes >= maximum_filter1d(sizes, 2 * count - 1, mode="nearest")
+        if beyond.any():
+            found.append((times[around[beyond, count]], steps[beyond]))
+    return found
+
+
+def _notes_of_steps(location: str, steps: list[tuple[Int64Array, Float64Array]]) -> Iterator[DataWarning]:
+    """Warn of fixes that step together, which the trajectory follows."""
+    if steps:
+        largest = max(float(np.linalg.norm(vectors, axis=1).max()) for _, vectors in steps)
+        first = min(int(times[0]) for times, _ in steps) * 1e-9
         message = (
-            f"fixes step by {max(sizes):.1f} m beyond what the IMU moved, first at {min(found) * 1e-9:.3f} s; the "
-            "trajectory follows them, and its covariances do not contain such steps"
+            f"fixes step by {largest:.1f} m beyond what the IMU moved, first at {first:.3f} s; the trajectory follows "
+            "them, and the steps are part of the covariances"
         )
-        yield assumed("gnss-steps", location, message, count=len(found))
+        yield assumed("gnss-steps", location, message, count=sum(len(times) for times, _ in steps))
 
 
 _WITH = {

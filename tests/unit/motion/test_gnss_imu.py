@@ -505,6 +505,10 @@ def test_fixes_that_step_together_and_stay_so_are_warned_of_and_honest_ones_are_
     for positions, expected in ((stepping, True), (enu(one.gnss), False)):
         run = gnss_imu.gnss_imu_motion(one.scene(gnss=moved(one.gnss, positions)), settings=SETTINGS)
         assert ("gnss-steps" in [warning.code for warning in run.warnings]) is expected
+        shifted = (run.trajectory.timestamps_ns - one.gnss.timestamps_ns[60]) * 1e-9
+        inside = (shifted > 1.0) & (shifted < 6.5)
+        sigmas = np.sqrt(run.trajectory.covariances[:, 3, 3])
+        assert (np.median(sigmas[inside]) > 4.0, np.median(sigmas[~inside]) > 4.0) == (expected, False)
 
 
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():

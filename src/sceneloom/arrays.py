@@ -208,7 +208,7 @@ def finite_rows(values: FloatArray) -> BoolArray:
 
 
 def spread_rows(count: int, most: int, *, nearest: bool = True) -> Int64Array:
-    """Choose at most so many rows out of `count`, evenly spread, the first and the last among them.
+    """Choose at most so many rows out of `count`, evenly spread, the first and the last among them; of one the first.
 
     Args:
         nearest: take the row that is nearest to an even step, else the one before it.

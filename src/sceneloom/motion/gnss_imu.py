@@ -1212,11 +1212,15 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
     return np.asarray(calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1), np.bool_)
 
 
-def _always_stands(fit: _Fit, samples: InertialSamples) -> bool:
-    """Whether nothing that the IMU felt could tell a heading: what drifting fixes seem to tell about it is noise."""
+def _always_stands(drive: "_Drive", fit: _Fit) -> bool:
+    """Whether nothing could tell a heading: what drifting fixes of one antenna seem to tell about it is noise."""
+    samples, levers, vehicle = drive.samples, drive.fixes.levers, fit.chain.settings.vehicle
+    if samples is None or drive.lidar is not None or np.ptp(levers, axis=0).any():
+        return False
     measured = np.append(fit.chain.measured, False) & np.insert(fit.chain.measured, 0, False)
     still = _quiet(samples, fit.chain.knots_ns, fit.states.biases)
-    return bool(still[measured].all() and (np.linalg.norm(fit.states.velocities, axis=1) < _MOVING).all())
+    fastest = np.linalg.norm(fit.states.velocities, axis=1).max()
+    return bool(measured.any() and still[measured].all() and fastest < (_SPEED if vehicle else _MOVING))
 
 
 def _about_up_anyhow(rotations: Float64Array) -> Float64Array:
@@ -1748,7 +1752,7 @@ def gnss_imu_motion(
     sigmas = fit.chain.fixes.sigmas
     slow, factor = _slow_variances(fit, fixes, motion.timestamps_ns, settings)
     poses[:, [3, 4, 5], [3, 4, 5]] += slow
-    if samples is not None and _always_stands(fit, samples):
+    if _always_stands(drive, fit):
         poses[:, :3, :3] += _about_up_anyhow(motion.rotations)
         own[:, :3, :3] += _about_up_anyhow(fit.states.rotations)
     used = fit.weights > 0.5
@@ -1818,9 +1822,9 @@ def _find_steps(
         noise = np.sqrt((parts**2 * sigmas[rows, 0][around] ** 2).sum(axis=1))
         usual = 1.4826 * np.median(np.abs(steps))
         least = max(_STEP_OF_USUAL * usual, _STEP_OF_STATED * float(np.median(fixes.sigmas[rows, 0])))
+        sizes[gaps[around[:, :-1]].max(axis=1) > _STEP_GAP] = 0.0
+        sizes[~samples.is_measured(times[around[:, 0]], times[around[:, -1]], slack_ns=samples.slack_ns)] = 0.0
         beyond = sizes > np.maximum(_STEP * noise, least)
-        beyond &= gaps[around[:, :-1]].max(axis=1) <= _STEP_GAP
-        beyond &= samples.is_measured(times[around[:, 0]], times[around[:, -1]], slack_ns=samples.slack_ns)
         # a step shows in all spans that contain it; it is where it is largest
         beyond &= sizes >= maximum_filter1d(sizes, 2 * count - 1, mode="nearest")
         if beyond.any():

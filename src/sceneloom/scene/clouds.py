@@ -236,7 +236,7 @@ class RadarPoints:
     Attributes:
         positions: (N, 3) float32 [m].
         directions: (N, 3) float32 unit vectors, or None.
-        lengths: (N,) float32 [m/s] along `directions`, or None.
+        lengths: (N,) float32 [m/s] along `directions`, NaN where they are not known, or None.
         timestamps_ns: (N,) int64 [ns], or None.
         extras: further arrays of the file, by name.
     """

@@ -432,11 +432,12 @@ def _listen(heard: _Heard, track: Track, time_ns: int, returns: Float64Array) ->
     inside = returns[(np.abs(along) <= size / 2.0 + _MARGIN).all(axis=1)]
     if len(inside) == 0:
         return
-    expected = inside[:, 3:6] @ velocity
+    known = inside[np.isfinite(inside[:, 3:]).all(axis=1)]
+    apart = known[:, 6] - known[:, 3:6] @ velocity
     heard.times_ns.append(time_ns)
     heard.counts.append(len(inside))
-    heard.speeds.append(float(np.median(inside[:, 6])))
-    heard.misfits.append(float(np.median(inside[:, 6] - expected)))
+    heard.speeds.append(float(np.median(known[:, 6])) if len(known) else math.nan)
+    heard.misfits.append(float(np.median(apart)) if len(known) else math.nan)
 
 
 def _state_at(track: Track, time_ns: int) -> Float64Array:

@@ -261,13 +261,16 @@ class _RadarView:
         vectors = _velocities(points.directions, points.lengths, len(points))
         rotated = vectors if inside is None else inside.rotate(vectors)
         positions = points.positions if inside is None else inside.apply(points.positions)
-        held = fits(positions) & fits(rotated)
+        held = fits(positions)
         self.stream.leave_out("radar points", np.count_nonzero(~held))
         positions, rotated = positions[held], rotated[held]
         colours = np.where((rotated * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
         shown = rr.Points3D(positions, colors=colours, radii=_ui_points(_RADAR_SIZE))
         self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
-        arrows = rr.Arrows3D(vectors=rotated, origins=positions, colors=colours, radii=_ui_points(_ARROW_SIZE))
+        known = fits(rotated)
+        arrows = rr.Arrows3D(
+            vectors=rotated[known], origins=positions[known], colors=colours[known], radii=_ui_points(_ARROW_SIZE)
+        )
         self.stream.log(time_ns, f"{entity}/velocities", arrows)
 
     def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:

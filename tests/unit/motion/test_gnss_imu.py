@@ -484,6 +484,20 @@ def test_a_receiver_that_drifts_tells_no_heading_of_an_ego_that_always_stands(se
     # any heading: the standard deviation of what is uniform over the circle is 104 degrees
     assert np.degrees(np.sqrt(run.trajectory.covariances[:, 2, 2].min())) > 100.0
     assert np.degrees(np.sqrt(run.covariances[:, 2, 2].min())) > 100.0
+    # two antennas tell it
+    cos, sin = np.cos(0.9), np.sin(0.9)
+    common = 0.02 * drifting
+    pair = []
+    for number, x in enumerate((1.0, -1.0)):
+        lever = np.array([x, 0.0, 1.5])
+        shifted = common + [cos * x, sin * x, 1.5] + 0.01 * rng.standard_normal((500, 3))
+        where, mount = geodetic_from_enu(shifted, ORIGIN), rigid.RigidTransform(np.eye(3), lever)
+        pair.append(GnssSensor(f"gnss{number}", times[::20], where, 0.01 * stated, 0.01 * stated, mount=mount))
+    run = gnss_imu.gnss_imu_motion(Scene((imu, *pair), source="made up"))
+    assert "heading-unknown" not in [warning.code for warning in run.warnings]
+    assert np.degrees(np.sqrt(run.trajectory.covariances[:, 2, 2].max())) < 1.0
+    quaternions = run.trajectory.quaternions_xyzw
+    assert np.abs(2 * np.arctan2(quaternions[:, 2], quaternions[:, 3]) - 0.9).max() < 0.01
 
 
 def test_accelerations_in_g_are_refused_and_fixes_that_the_imu_contradicts_are_doubted(town):
@@ -509,6 +523,14 @@ def test_fixes_that_step_together_and_stay_so_are_warned_of_and_honest_ones_are_
         inside = (shifted > 1.0) & (shifted < 6.5)
         sigmas = np.sqrt(run.trajectory.covariances[:, 3, 3])
         assert (np.median(sigmas[inside]) > 4.0, np.median(sigmas[~inside]) > 4.0) == (expected, False)
+    # off after an outage, which no span of fixes may contain, and back two seconds later
+    late, kept = enu(one.gnss), np.ones(len(stepping), np.bool_)
+    late[60:64, 0], late[64:, 0], kept[40:60] = late[60:64, 0] + 25.0, late[64:, 0] + 10.0, False
+    positions = moved(one.gnss, late).positions_lla[kept]
+    columns = (one.gnss.timestamps_ns, one.gnss.accuracies, one.gnss.vertical_accuracies)
+    times, *stated = (column[kept] for column in columns)
+    run = gnss_imu.gnss_imu_motion(one.scene(gnss=GnssSensor("gnss", times, positions, *stated)), settings=SETTINGS)
+    assert "gnss-steps" in [warning.code for warning in run.warnings]
 
 
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():

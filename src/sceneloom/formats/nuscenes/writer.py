@@ -615,6 +615,12 @@ class _Writer:
         if points.directions is None or points.lengths is None:
             return
         velocities = points.directions * points.lengths[:, None]
+        unknown = np.isnan(velocities).any(axis=1)
+        if unknown.any():
+            # its development kit takes a cloud that begins with NaN for an empty one
+            velocities[unknown] = 0.0
+            what = "velocities that are not known are written as 0"
+            self.losses.dropped("sensors.radar.frames.points.lengths", what, count=int(unknown.sum()))
         if "vx" not in points.extras or "vy" not in points.extras:
             rows["vx"], rows["vy"] = velocities[:, 0], velocities[:, 1]
             upright = np.abs(velocities[:, 2])

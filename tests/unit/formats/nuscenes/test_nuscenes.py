@@ -432,6 +432,13 @@ def test_radars_without_returns_and_upward_speeds_are_written_too(tmp_path):
     assert np.allclose(found.directions * found.lengths[:, None], [[3, 4, 0], [0, -6, 0]], atol=1e-6)
     lost = next(loss for loss in losses if loss.field == "sensors.radar.frames.points.directions")
     assert lost.largest_error == pytest.approx(8.0)
+    unknown = replace(full, lengths=np.array([np.nan, -10], np.float32))
+    frames = sc.LazyFrames.of([sc.RadarFrame(times[0], unknown), sc.RadarFrame(times[1], none)], times)
+    scene = drive(radar=sc.RadarSensor("radar", frames, mount=RigidTransform.identity()), sweeps=2)
+    losses = sceneloom.write(scene, tmp_path / "b", format="nuscenes")
+    found = sceneloom.open(tmp_path / "b").sensor("radar").frames[0].points
+    assert np.allclose(found.directions * found.lengths[:, None], [[0, 0, 0], [0, -6, 0]], atol=1e-6)
+    assert [loss.count for loss in losses if loss.field == "sensors.radar.frames.points.lengths"] == [1]
 
 
 def test_classes_of_points_get_numbers_and_points_without_one_are_noise(tmp_path):

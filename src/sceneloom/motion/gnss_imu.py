@@ -1213,14 +1213,15 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
 
 
 def _always_stands(drive: "_Drive", fit: _Fit) -> bool:
-    """Whether nothing could tell a heading: what drifting fixes of one antenna seem to tell about it is noise."""
-    samples, levers, vehicle = drive.samples, drive.fixes.levers, fit.chain.settings.vehicle
-    if samples is None or drive.lidar is not None or np.ptp(levers, axis=0).any():
+    """Whether nothing determines the heading: what drifting fixes of one antenna seem to report of it is noise."""
+    samples, chain = drive.samples, fit.chain
+    if samples is None or drive.lidar is not None or np.ptp(drive.fixes.levers, axis=0).any():
         return False
-    measured = np.append(fit.chain.measured, False) & np.insert(fit.chain.measured, 0, False)
-    still = _quiet(samples, fit.chain.knots_ns, fit.states.biases)
+    measured = np.append(chain.measured, False) & np.insert(chain.measured, 0, False)
     fastest = np.linalg.norm(fit.states.velocities, axis=1).max()
-    return bool(measured.any() and still[measured].all() and fastest < (_SPEED if vehicle else _MOVING))
+    if not measured.any() or fastest >= (_SPEED if chain.settings.vehicle else _MOVING):
+        return False
+    return bool(_quiet(samples, chain.knots_ns, fit.states.biases)[measured].all())
 
 
 def _about_up_anyhow(rotations: Float64Array) -> Float64Array:
@@ -1759,7 +1760,7 @@ def gnss_imu_motion(
     steps = _find_steps(drive, used, sigmas, motion)
     for times, vectors in steps:
         # the fixes are as right before all steps as after them: who comes back was away, who does not may be either
-        levels = np.vstack([np.zeros(2), np.cumsum(vectors, axis=0)])
+        levels = _running_sums(vectors)
         passed = np.searchsorted(times, motion.timestamps_ns, side="right")
         for level in (levels[0], levels[-1]):
             offsets = (levels - level)[passed]
@@ -1797,12 +1798,11 @@ def _find_steps(
     near = np.clip(np.searchsorted(motion.timestamps_ns, samples.timestamps_ns), 0, len(motion.timestamps_ns) - 1)
     forces = samples.values[:, 3:] - motion.biases[near, 3:]
     accelerations = np.einsum("nij,nj->ni", motion.rotations[near], forces)[:-1] - [0.0, 0.0, drive.gravity]
-    velocities = np.vstack([np.zeros(3), np.cumsum(accelerations * seconds, axis=0)])
-    moved = np.vstack([np.zeros(3), np.cumsum((velocities[:-1] + 0.5 * accelerations * seconds) * seconds, axis=0)])
-    found = []
+    velocities = _running_sums(accelerations * seconds)
+    moved = _running_sums((velocities[:-1] + 0.5 * accelerations * seconds) * seconds)
+    found, (few, many) = [], _STEP_FIXES
     for receiver in np.unique(fixes.receivers):
         rows = np.flatnonzero(used & (fixes.receivers == receiver))
-        few, many = _STEP_FIXES
         if len(rows) < 2 * few:
             continue
         times = fixes.timestamps_ns[rows]

@@ -471,7 +471,7 @@ def test_fixes_without_noise_of_a_stationary_ego_are_followed_within_what_they_d
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_receiver_that_drifts_tells_no_heading_of_an_ego_that_always_stands(seed):
+def test_a_receiver_that_drifts_determines_no_heading_of_an_ego_that_always_stands(seed):
     rng, times = np.random.default_rng(seed), np.arange(10_000, dtype=np.int64) * (SECOND // 100)
     rates = 0.002 * rng.standard_normal((len(times), 3))
     forces = 0.02 * rng.standard_normal((len(times), 3)) + [0.02, -0.03, GRAVITY]
@@ -484,7 +484,7 @@ def test_a_receiver_that_drifts_tells_no_heading_of_an_ego_that_always_stands(se
     # any heading: the standard deviation of what is uniform over the circle is 104 degrees
     assert np.degrees(np.sqrt(run.trajectory.covariances[:, 2, 2].min())) > 100.0
     assert np.degrees(np.sqrt(run.covariances[:, 2, 2].min())) > 100.0
-    # two antennas tell it
+    # two antennas determine it
     cos, sin = np.cos(0.9), np.sin(0.9)
     common = 0.02 * drifting
     pair = []

@@ -313,7 +313,7 @@ def test_radars_measure_how_fast_what_drives_goes_away_and_contradict_another_sp
     wrong = replace(heard, velocities=-heard.velocities)
     found = label(drive, wrong, radar=True)
     assert labels.FlagKind.RADAR in {one.kind for one in found.flags}
-    # returns of unknown velocity tell none, and spoil no other
+    # returns of unknown velocity report none, and spoil no other
     own, middle = labels._Heard(), len(heard.timestamps_ns) // 2
     time_ns, center = int(heard.timestamps_ns[middle]), heard.centers[middle]
     returns = np.hstack([np.tile(center, (3, 1)), np.tile([1.0, 0.0, 0.0, 4.0], (3, 1))])
